@@ -1,0 +1,113 @@
+"""Poses, paths and trajectories of the tool: metres, radians and seconds in the world frame (z up)."""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import SettingsError
+
+__all__ = ["Pose", "PosePath", "Trajectory", "wrap_to_pi"]
+
+Array = NDArray[np.float64]
+
+
+def wrap_to_pi(angle_rad: Array | float) -> Array:
+    """Angle in [-pi, pi) that is equal to ``angle_rad`` modulo a full turn."""
+    return np.asarray((np.asarray(angle_rad) + math.pi) % (2 * math.pi) - math.pi)
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """Position of the tool centre and its rotation about the vertical axis (section V-B of the paper)."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(value) for value in self.as_tuple()):
+            raise SettingsError(f"a pose must be finite, got {self.as_tuple()}")
+
+    def as_tuple(self) -> tuple[float, float, float, float]:
+        return (self.x_m, self.y_m, self.z_m, self.yaw_rad)
+
+    def as_array(self) -> Array:
+        """(4,) float64: x, y, z in metres, yaw in radians."""
+        return np.array(self.as_tuple())
+
+
+@dataclasses.dataclass(frozen=True)
+class PosePath:
+    """A polyline of K >= 1 poses; yaw is continuous (unwrapped) along it.
+
+    Attributes:
+        poses: (K, 4) float64, read-only: x, y, z in metres, yaw in radians.
+    """
+
+    poses: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "poses", _frozen(self.poses, "poses", 4))
+        if len(self.poses) == 0:
+            raise SettingsError("a path needs at least one pose")
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    @property
+    def length_m(self) -> float:
+        """Length of the polyline of positions in metres; rotation does not count."""
+        return float(np.linalg.norm(np.diff(self.poses[:, :3], axis=0), axis=1).sum())
+
+
+@dataclasses.dataclass(frozen=True)
+class Trajectory:
+    """Reference motion sampled at the controller's rate.
+
+    Attributes:
+        time_s: (N,) strictly increasing, starting at 0.
+        poses: (N, 4) x, y, z in metres, yaw in radians (continuous).
+        velocities: (N, 4) time derivatives of ``poses`` in m/s and rad/s.
+    """
+
+    time_s: Array
+    poses: Array
+    velocities: Array
+
+    def __post_init__(self) -> None:
+        time_s = np.array(self.time_s, dtype=np.float64)
+        if time_s.ndim != 1 or len(time_s) == 0 or not np.isfinite(time_s).all():
+            raise SettingsError(f"time_s must be a finite vector of at least one sample, got {time_s.shape}")
+        if time_s[0] != 0.0 or (np.diff(time_s) <= 0).any():
+            raise SettingsError("time_s must start at 0 and increase strictly")
+        time_s.setflags(write=False)
+        object.__setattr__(self, "time_s", time_s)
+        object.__setattr__(self, "poses", _frozen(self.poses, "poses", 4))
+        object.__setattr__(self, "velocities", _frozen(self.velocities, "velocities", 4))
+        if not len(self.time_s) == len(self.poses) == len(self.velocities):
+            raise SettingsError(
+                f"time_s, poses and velocities must be equally long, got "
+                f"{len(self.time_s)}, {len(self.poses)}, {len(self.velocities)}"
+            )
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.time_s[-1])
+
+    @property
+    def speed_mps(self) -> Array:
+        """(N,) speed of the tool centre in m/s."""
+        return np.asarray(np.linalg.norm(self.velocities[:, :3], axis=1))
+
+
+def _frozen(values: Array, name: str, columns: int) -> Array:
+    values = np.array(values, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] != columns:
+        raise SettingsError(f"{name} must have shape (N, {columns}), got {values.shape}")
+    if not np.isfinite(values).all():
+        raise SettingsError(f"{name} must be finite")
+    values.setflags(write=False)
+    return values

@@ -1,0 +1,1 @@
+"""How it runs: definitions, resources, storage, jobs, schedules and presets."""
