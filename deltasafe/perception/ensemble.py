@@ -1,0 +1,101 @@
+"""Uniformly weighted mixture of M members: p_occupied of every pixel (section III-B)."""
+
+import dataclasses
+import math
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from deltasafe.errors import SettingsError
+from deltasafe.perception.network import SegmentationNetwork
+
+__all__ = ["Ensemble", "InferenceSettings"]
+
+_STRIDE = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class InferenceSettings:
+    """At which resolution the networks look at an image.
+
+    An image of any size is scaled to about ``width`` x ``height`` pixels in area, its aspect ratio kept up to
+    rounding to multiples of 16; logits are scaled back to the size of the image.
+    """
+
+    width: int = 256
+    height: int = 192
+
+    def __post_init__(self) -> None:
+        if self.width < 2 * _STRIDE or self.height < 2 * _STRIDE:
+            raise SettingsError(f"inference size must be at least 32 x 32, got {self.width} x {self.height}")
+
+    def network_size(self, height: int, width: int) -> tuple[int, int]:
+        """(height, width) that the networks see for an image of ``height`` x ``width`` pixels."""
+        scale = math.sqrt(self.width * self.height / (width * height))
+        return (
+            max(2, round(height * scale / _STRIDE)) * _STRIDE,
+            max(2, round(width * scale / _STRIDE)) * _STRIDE,
+        )
+
+
+class Ensemble:
+    """M networks that are asked together.
+
+    Args:
+        members: networks in evaluation mode, at least one.
+        settings: the resolution at which they look.
+        device: ``auto``, ``cpu``, ``cuda``, ...
+    """
+
+    def __init__(
+        self, members: list[SegmentationNetwork], settings: InferenceSettings, device: str = "cpu"
+    ) -> None:
+        if not members:
+            raise SettingsError("an ensemble needs at least one member")
+        self.settings = settings
+        self.device = torch.device(device)
+        self.members = nn.ModuleList(members).to(self.device, memory_format=torch.channels_last).eval()
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def p_occupied(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Probability that a pixel shows the obstacle.
+
+        Args:
+            rgb: (H, W, 3) uint8.
+
+        Returns:
+            (H, W) float32 in [0, 1]: the mean over members.
+
+        Raises:
+            SettingsError: ``rgb`` has another shape or type.
+        """
+        return np.asarray(self.member_p_occupied(rgb).mean(axis=0, dtype=np.float32))
+
+    @torch.inference_mode()
+    def member_p_occupied(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """(M, H, W) float32: what each member thinks of ``rgb``, (H, W, 3) uint8."""
+        if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or 0 in rgb.shape:
+            raise SettingsError(f"an image must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
+        seen = self.resized(rgb).to(self.device)
+        probabilities = [probability(network(seen), rgb.shape[:2])[0] for network in self.members]
+        stacked: NDArray[np.float32] = torch.stack(probabilities).cpu().numpy()
+        return stacked
+
+    def resized(self, rgb: NDArray[np.uint8]) -> Tensor:
+        """(1, 3, h, w) uint8: the image at the resolution of the networks."""
+        height, width = self.settings.network_size(*rgb.shape[:2])
+        shrinks = height * width < rgb.shape[0] * rgb.shape[1]
+        scaled = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+        return torch.from_numpy(np.ascontiguousarray(scaled)).permute(2, 0, 1)[None]
+
+
+def probability(logits: Tensor, size: tuple[int, ...]) -> Tensor:
+    """The one conversion point: logits (B, h, w) -> p_occupied (B, H, W) at ``size`` = (H, W)."""
+    scaled = functional.interpolate(logits[:, None], size, mode="bilinear", align_corners=False)
+    return torch.sigmoid(scaled)[:, 0]

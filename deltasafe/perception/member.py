@@ -1,0 +1,103 @@
+"""One trained member on disk: a folder with `weights.safetensors` and `member.json`."""
+
+import dataclasses
+import pathlib
+from typing import Any
+
+from torch import nn
+
+from deltasafe.errors import ArtifactError, DataError
+from deltasafe.perception.network import NetworkSettings, SegmentationNetwork, build_network
+from deltasafe.storage import atomic_file, read_json, sha256_of_file, write_json
+
+__all__ = ["Member"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Member:
+    """A finished member.
+
+    Attributes:
+        folder: where it lies.
+        record: content of `member.json`: identity (digest of settings, data and seed), seed, settings, losses
+            a step, digest of the data and of the weights.
+    """
+
+    folder: pathlib.Path
+    record: dict[str, Any]
+
+    @classmethod
+    def write(cls, folder: pathlib.Path, network: nn.Module, record: dict[str, Any]) -> "Member":
+        """Write weights, then the record that makes them a member."""
+        from safetensors.torch import save_file
+
+        with atomic_file(folder / "weights.safetensors") as temporary:
+            save_file(
+                {key: value.cpu().contiguous() for key, value in network.state_dict().items()}, temporary
+            )
+        record = {**record, "weights_sha256": sha256_of_file(folder / "weights.safetensors")}
+        write_json(folder / "member.json", record)
+        return cls(folder, record)
+
+    @classmethod
+    def load(cls, folder: str | pathlib.Path) -> "Member":
+        """Read a member and verify its weights against the record.
+
+        Raises:
+            DataError: a file is missing or malformed.
+            ArtifactError: the weights are not those that were recorded.
+        """
+        folder = pathlib.Path(folder)
+        record = read_json(folder / "member.json")
+        weights = folder / "weights.safetensors"
+        if not weights.is_file():
+            raise DataError(weights, "is missing; train the member again")
+        if sha256_of_file(weights) != record["weights_sha256"]:
+            raise ArtifactError(weights, "differs from the digest in member.json; train the member again")
+        return cls(folder, record)
+
+    @classmethod
+    def find(cls, folder: pathlib.Path, identity: str) -> "Member | None":
+        """The finished, intact member of that identity in ``folder``, if there is one."""
+        try:
+            member = cls.load(folder)
+        except (DataError, KeyError):
+            return None
+        return member if member.record.get("identity") == identity else None
+
+    @property
+    def weights(self) -> pathlib.Path:
+        return self.folder / "weights.safetensors"
+
+    @property
+    def seed(self) -> int:
+        return int(self.record["seed"])
+
+    @property
+    def losses(self) -> list[float]:
+        return [float(value) for value in self.record["losses"]]
+
+    @property
+    def network_settings(self) -> NetworkSettings:
+        return NetworkSettings(**self.record["settings"]["network"])
+
+    def network(self) -> SegmentationNetwork:
+        """The trained network in evaluation mode, on the CPU."""
+        return load_network(self.network_settings, self.weights)
+
+
+def load_network(settings: NetworkSettings, weights: pathlib.Path) -> SegmentationNetwork:
+    """A network with the weights of a safetensors file, in evaluation mode.
+
+    Raises:
+        ArtifactError: the weights do not fit the settings.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    network = build_network(dataclasses.replace(settings, pretrained=False), seed=0)
+    try:
+        network.load_state_dict(load_file(weights))
+    except (SafetensorError, RuntimeError) as error:
+        raise ArtifactError(weights, f"does not hold the weights of {settings}: {error}") from error
+    return network.eval()

