@@ -1,0 +1,157 @@
+"""The hand cut out of its image, with an arm that goes on beyond the image border."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+__all__ = ["Arm", "CutOut"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Arm:
+    """Where the arm leaves the image, so that it can be continued there.
+
+    Arm coordinates of a point are ``along`` (pixels beyond the crossing, negative inside the image) and ``across``.
+
+    Attributes:
+        crossing: ``(2,)`` centre of the crossing with the border, x and y in pixels.
+        direction: ``(2,)`` unit vector along the arm, out of the image.
+        width: of the arm at the crossing, across its direction, in pixels.
+        narrowing: how far the width has to shrink outside to become that of a wrist; 1 where it is a wrist or forearm.
+    """
+
+    crossing: np.ndarray
+    direction: np.ndarray
+    width: float
+    narrowing: float
+
+    @classmethod
+    def of(cls, mask: np.ndarray) -> "Arm | None":
+        """The arm of a mask ``(H, W)``: its longest run along the border, or None where it touches no border."""
+        height, width = mask.shape
+        ring = np.zeros_like(mask)
+        ring[[0, -1], :] = mask[[0, -1], :]
+        ring[:, [0, -1]] = mask[:, [0, -1]]
+        n_labels, labels, stats, centres = cv2.connectedComponentsWithStats(ring, connectivity=8)
+        if n_labels == 1:
+            return None
+        label = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+        if stats[label, cv2.CC_STAT_AREA] < 0.02 * (height + width):
+            return None
+        crossing = centres[label]
+        ys, xs = np.nonzero(labels == label)
+        reach = 1.2 * float(np.hypot(np.ptp(xs), np.ptp(ys)) + 1)
+        ys_hand, xs_hand = np.nonzero(mask)
+        near = np.hypot(xs_hand - crossing[0], ys_hand - crossing[1]) < reach
+        inward = np.array([xs_hand[near].mean(), ys_hand[near].mean()]) - crossing
+        normal = np.array(
+            [
+                float((xs == width - 1).sum()) - float((xs == 0).sum()),
+                float((ys == height - 1).sum()) - float((ys == 0).sum()),
+            ]
+        )
+        normal /= max(float(np.linalg.norm(normal)), 1e-9)
+        direction = _unit(_unit(-inward) + 0.25 * normal)
+        if direction @ normal < 0.5:  # an arm along the border would be stretched without end
+            direction = _unit(direction + (0.7 - direction @ normal) * normal)
+        across = np.array([-direction[1], direction[0]])
+        extent = np.ptp(xs * across[0] + ys * across[1]) + 1
+        hand_extent = np.ptp(np.quantile(xs_hand * across[0] + ys_hand * across[1], (0.02, 0.98))) + 1
+        narrowing = float(np.clip(0.6 * hand_extent / extent, 0.62, 1.0))
+        return cls(crossing, direction, float(extent), narrowing)
+
+    def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``along`` and ``across`` of points ``(..., 2)`` in pixels of the source."""
+        x, y = points[..., 0] - self.crossing[0], points[..., 1] - self.crossing[1]
+        along = x * self.direction[0] + y * self.direction[1]
+        return along, y * self.direction[0] - x * self.direction[1]
+
+    def profile(self, beyond: np.ndarray) -> np.ndarray:
+        """Width of the arm relative to the crossing, ``beyond`` pixels outside: down to a wrist, then slowly wider."""
+        steps = np.clip(beyond / self.width, 0.0, 4.0)
+        ease = np.clip(steps / 0.7, 0.0, 1.0)
+        ease = ease * ease * (3.0 - 2.0 * ease)
+        return (1.0 - (1.0 - self.narrowing) * ease) * (1.0 + 0.08 * np.clip(steps - 0.3, 0.0, 2.5))
+
+    def continued(self, points: np.ndarray, width: int, height: int) -> np.ndarray:
+        """Send points ``(..., 2)`` outside the image, but on the arm's continuation, to the border where it is seen.
+
+        Points elsewhere outside are left outside, where nothing is.
+        """
+        beyond = np.zeros(points.shape[:-1], np.float32)
+        for axis, size in ((0, width), (1, height)):
+            step = float(self.direction[axis])
+            overshoot = points[..., axis] - (size - 1) if step > 0 else -points[..., axis]
+            if abs(step) > 0.05:
+                beyond = np.maximum(beyond, overshoot / abs(step))
+        outside = beyond > 0
+        base = points - beyond[..., None] * self.direction.astype(np.float32)
+        base = self.crossing + (base - self.crossing) / self.profile(beyond)[..., None]
+        _, across = self.coordinates(points)
+        belongs = outside & (np.abs(across) < 0.62 * self.width * self.profile(beyond))
+        result = np.where(belongs[..., None], base, points)
+        inside = (result >= -0.5).all(-1) & (result[..., 0] < width - 0.5) & (result[..., 1] < height - 0.5)
+        clipped = np.clip(result, 0, (width - 1, height - 1))
+        return np.where(inside[..., None], clipped, -10.0).astype(np.float32)
+
+
+@dataclasses.dataclass(frozen=True)
+class CutOut:
+    """A hand without its surroundings.
+
+    Attributes:
+        rgb: ``(H, W, 3)`` float32 in [0, 1]; outside the hand the colour of its nearest inner pixel, so that no rim of
+            the old background is left when the edge is blended.
+        alpha: ``(H, W)`` float32 in [0, 1], the hand's coverage of each pixel.
+        surroundings: ``(H, W, 3)`` float32, the image with the hand filled in from its surroundings.
+        centre: ``(2,)`` middle of the hand's bounding box, x and y in pixels.
+        arm: where the arm leaves the image, or None.
+    """
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    surroundings: np.ndarray
+    centre: np.ndarray
+    arm: Arm | None
+
+    @classmethod
+    def of(cls, rgb: np.ndarray, mask: np.ndarray, width: int, height: int) -> "CutOut":
+        """Cut out the hand of image ``(H, W, 3)`` uint8 by its mask ``(H, W)`` (1 = hand), for a canvas of given size.
+
+        A source larger than the canvas is first reduced by area to the smallest size that covers it.
+        """
+        scale = max(width / rgb.shape[1], height / rgb.shape[0])
+        if scale < 1.0:
+            size = (round(rgb.shape[1] * scale), round(rgb.shape[0] * scale))
+            rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+            coverage = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+            mask = (coverage >= 0.5).astype(np.uint8)
+        mask = np.ascontiguousarray(mask, np.uint8)
+        colour = rgb.astype(np.float32) / 255.0
+        padded = cv2.copyMakeBorder(mask, 3, 3, 3, 3, cv2.BORDER_REPLICATE)
+        ellipse = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+        inner = cv2.erode(padded, ellipse)[3:-3, 3:-3]
+        outer = 1 - cv2.dilate(padded, ellipse)[3:-3, 3:-3]
+        alpha = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.6, borderType=cv2.BORDER_REPLICATE)
+        ys, xs = np.nonzero(mask)
+        centre = np.array([(xs.min() + xs.max()) / 2, (ys.min() + ys.max()) / 2]) if xs.size else np.zeros(2)
+        hand = _filled(colour, inner if inner.any() else mask)
+        around = cv2.GaussianBlur(_filled(colour, outer), (0, 0), 6.0) if outer.any() else colour
+        surroundings = np.where(outer[..., None] > 0, colour, around)
+        return cls(hand, alpha, surroundings, centre, Arm.of(mask))
+
+
+def _filled(colour: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """``colour`` with each pixel outside ``known`` replaced by the nearest known one, softened away from the edge."""
+    if not known.any():
+        return colour
+    _, labels = cv2.distanceTransformWithLabels(1 - known, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    by_label = np.zeros((int(labels.max()) + 1, 3), np.float32)
+    by_label[labels[known > 0]] = colour[known > 0]
+    spread = by_label[labels]
+    return np.where(known[..., None] > 0, colour, cv2.blur(spread, (3, 3)))
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / max(float(np.linalg.norm(vector)), 1e-9)

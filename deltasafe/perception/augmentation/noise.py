@@ -1,0 +1,83 @@
+"""Noise and random erase: what sensors, lenses, compression and things in between do to a finished picture."""
+
+import os
+
+import cv2
+import numpy as np
+
+os.environ.setdefault(
+    "NO_ALBUMENTATIONS_UPDATE", "1"
+)  # read at import; it would ask the network for its version
+import albumentations
+
+__all__ = ["degrade", "erase"]
+
+ERASED_SHARE = (0.1, 0.3)
+NOISE_DEVIATION = (2.0, 16.0)
+
+
+def degrade(rng: np.random.Generator, picture: np.ndarray) -> tuple[np.ndarray, dict[str, float | int]]:
+    """Blur of lens or motion, noise in HSV, in sRGB and in patches, sharpening, and JPEG, on ``(H, W, 3)`` uint8.
+
+    The authors' noise has a deviation of 10 of 255 in HSV; here it is drawn from 2 to 16.
+    """
+    drawn: dict[str, float | int] = {}
+    blur = rng.random()
+    if blur < 0.3:
+        drawn["blur_px"] = float(rng.uniform(0.4, 1.3))
+        picture = cv2.GaussianBlur(picture, (0, 0), drawn["blur_px"])
+    elif blur < 0.45:
+        drawn["motion_blur_px"] = int(rng.choice((3, 5, 7)))
+        length = drawn["motion_blur_px"]
+        picture = _seeded(albumentations.MotionBlur(blur_limit=(length, length), p=1.0), rng, picture)
+    if rng.random() < 0.7:
+        drawn["hsv_deviation"] = float(rng.uniform(*NOISE_DEVIATION))
+        picture = _hsv_noise(rng, picture, drawn["hsv_deviation"])
+    if rng.random() < 0.3:
+        drawn["iso"] = float(rng.uniform(0.1, 0.5))
+        strength = (drawn["iso"], drawn["iso"])
+        noise = albumentations.ISONoise(color_shift=(0.02, 0.02), intensity=strength, p=1.0)
+        picture = _seeded(noise, rng, picture)
+    if rng.random() < 0.25:
+        drawn["sharpened"] = float(rng.uniform(0.2, 1.0))
+        soft = cv2.GaussianBlur(picture, (0, 0), 1.0)
+        picture = cv2.addWeighted(picture, 1 + drawn["sharpened"], soft, -drawn["sharpened"], 0)
+    if rng.random() < 0.5:
+        drawn["jpeg_quality"] = int(rng.integers(30, 96))
+        quality = (drawn["jpeg_quality"], drawn["jpeg_quality"])
+        picture = _seeded(albumentations.ImageCompression(quality_range=quality, p=1.0), rng, picture)
+    return picture, drawn
+
+
+def erase(
+    rng: np.random.Generator, picture: np.ndarray, mask: np.ndarray
+) -> tuple[np.ndarray, dict[str, object]]:
+    """Fill a box of 10 to 30 % of each side of the picture, about a point of the hand's bounding box, with noise.
+
+    The mask is kept: a hand that is partly covered is still there. Without a hand the box lies anywhere.
+    """
+    height, width = mask.shape
+    ys, xs = np.nonzero(mask)
+    low, high = ((xs.min(), ys.min()), (xs.max(), ys.max())) if xs.size else ((0, 0), (width - 1, height - 1))
+    middle = rng.uniform(low, np.add(high, 1))
+    size = np.maximum(1, np.rint(rng.uniform(*ERASED_SHARE, 2) * (width, height))).astype(int)
+    left, top = np.clip(np.rint(middle - size / 2).astype(int), 0, np.array([width, height]) - size)
+    picture = picture.copy()
+    picture[top : top + size[1], left : left + size[0]] = rng.integers(
+        0, 256, (size[1], size[0], 3), dtype=np.uint8
+    )
+    return picture, {"box_px": [int(left), int(top), int(size[0]), int(size[1])]}
+
+
+def _hsv_noise(rng: np.random.Generator, picture: np.ndarray, deviation: float) -> np.ndarray:
+    hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV_FULL).astype(np.float32)
+    hsv += rng.standard_normal(hsv.shape, dtype=np.float32) * np.float32(deviation)
+    hsv[..., 0] %= 256.0
+    return cv2.cvtColor(np.clip(hsv, 0, 255).astype(np.uint8), cv2.COLOR_HSV2RGB_FULL)
+
+
+def _seeded(
+    transform: albumentations.BasicTransform, rng: np.random.Generator, picture: np.ndarray
+) -> np.ndarray:
+    transform.set_random_seed(int(rng.integers(2**31)))
+    return transform(image=picture)["image"]

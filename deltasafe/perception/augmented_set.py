@@ -1,0 +1,247 @@
+"""The augmented training set on disk: arrays ready for training, and the recipe of every image."""
+
+import concurrent.futures
+import dataclasses
+import hashlib
+import json
+import multiprocessing
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.perception.augmentation import (
+    METHOD_NAMES,
+    AugmentationSettings,
+    Augmented,
+    Backgrounds,
+    augment,
+    cut_out,
+)
+from deltasafe.perception.hands import HandSet
+from deltasafe.progress import Progress, silent
+from deltasafe.storage import atomic_folder, digest_of, read_json, write_json
+
+__all__ = ["AugmentedSet", "remake", "write_augmented_set"]
+
+FORMAT = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class AugmentedSet:
+    """A stored augmented set, memory-mapped.
+
+    Attributes:
+        folder: where it lies.
+        images: ``(N, H, W, 3)`` uint8, RGB, read-only.
+        masks: ``(N, H, W)`` uint8, 1 = hand, read-only.
+        recipes: what was done to each image; variants of one original follow each other.
+        settings: of the augmentation.
+        source_digest: of the hand set it was made from.
+        background_digest: of the pictures the hands were put on; empty where there were none.
+        digest: SHA-256 over all of it, pixels included.
+    """
+
+    folder: pathlib.Path
+    images: np.ndarray
+    masks: np.ndarray
+    recipes: tuple[dict[str, Any], ...]
+    settings: AugmentationSettings
+    source_digest: str
+    background_digest: str
+    digest: str
+
+    @classmethod
+    def load(cls, folder: str | pathlib.Path) -> "AugmentedSet":
+        """Open a stored set; checks everything but the pixels, which :meth:`verify` checks.
+
+        Raises:
+            DataError: a file is missing, of another form, or the parts do not belong together.
+        """
+        folder = pathlib.Path(folder)
+        described = read_json(folder / "set.json")
+        if not isinstance(described, dict) or described.get("format") != FORMAT:
+            raise DataError(folder / "set.json", f"is not of format {FORMAT}; write the augmented set again")
+        described["settings"]["left_out"] = tuple(described["settings"]["left_out"])
+        settings = AugmentationSettings(**described["settings"])
+        n, shape = described["n"], (settings.height, settings.width)
+        images = _mapped(folder / "images.npy", (n, *shape, 3))
+        masks = _mapped(folder / "masks.npy", (n, *shape))
+        lines = (folder / "recipes.jsonl").read_text(encoding="utf-8").splitlines()
+        recipes = tuple(json.loads(line) for line in lines)
+        if len(recipes) != n:
+            raise DataError(
+                folder / "recipes.jsonl", f"holds {len(recipes)} recipes for {n} images; write the set again"
+            )
+        digest = _digest(settings, described["source_digest"], described["background_digest"], recipes)
+        if digest != described["digest"]:
+            raise DataError(
+                folder, "has a digest that is not that of its recipes; write the augmented set again"
+            )
+        return cls(
+            folder,
+            images,
+            masks,
+            recipes,
+            settings,
+            described["source_digest"],
+            described["background_digest"],
+            digest,
+        )
+
+    @property
+    def n(self) -> int:
+        """How many images."""
+        return len(self.recipes)
+
+    def verify(self) -> None:
+        """Compare every image and mask with the digest in its recipe.
+
+        Raises:
+            DataError: naming the first image that differs.
+        """
+        for i, recipe in enumerate(self.recipes):
+            if (
+                hashlib.sha256(self.images[i].tobytes() + self.masks[i].tobytes()).hexdigest()
+                != recipe["digest"]
+            ):
+                raise DataError(
+                    self.folder, f"image {i} differs from its recipe; write the augmented set again"
+                )
+
+
+def write_augmented_set(
+    hands: HandSet,
+    backgrounds: str | pathlib.Path | None,
+    settings: AugmentationSettings,
+    folder: str | pathlib.Path,
+    workers: int = 2,
+    progress: Progress = silent,
+) -> AugmentedSet:
+    """Make ``settings.n_variants`` new images of each original and store them as one folder, whole or not at all.
+
+    Args:
+        hands: the originals.
+        backgrounds: folder of pictures without hands; None uses procedural surfaces alone.
+        settings: of the augmentation.
+        folder: destination; an existing one is replaced when the new one is complete.
+        workers: processes; their number changes no byte. 1 works in this process.
+        progress: told after each original.
+
+    Raises:
+        DataError: an original or a background is defective.
+        SettingsError: ``workers`` is less than 1.
+    """
+    if workers < 1:
+        raise SettingsError(f"workers is {workers}; choose at least 1")
+    pictures = Backgrounds() if backgrounds is None else Backgrounds.load(backgrounds)
+    n = len(hands) * settings.n_variants
+    recipes: list[dict[str, Any]] = []
+    with atomic_folder(folder) as temporary:
+        shape = (n, settings.height, settings.width)
+        images = np.lib.format.open_memmap(
+            temporary / "images.npy", mode="w+", dtype=np.uint8, shape=(*shape, 3)
+        )
+        masks = np.lib.format.open_memmap(temporary / "masks.npy", mode="w+", dtype=np.uint8, shape=shape)
+        for done, variants in enumerate(_all_variants(hands, pictures, settings, workers), start=1):
+            for made in variants:
+                images[len(recipes)], masks[len(recipes)] = made.image, made.mask
+                recipes.append(made.recipe)
+            progress(done, len(hands), f"augmented {hands.items[done - 1].id}")
+        images.flush()
+        masks.flush()
+        del images, masks
+        with (temporary / "recipes.jsonl").open("w", encoding="utf-8") as file:
+            file.writelines(json.dumps(recipe) + "\n" for recipe in recipes)
+        described = {
+            "format": FORMAT,
+            "n": n,
+            "settings": dataclasses.asdict(settings),
+            "source": hands.name,
+            "source_digest": hands.digest,
+            "background_digest": pictures.digest,
+            "digest": _digest(settings, hands.digest, pictures.digest, tuple(recipes)),
+            "applied": {name: _count(recipes, name) for name in METHOD_NAMES},
+        }
+        write_json(temporary / "set.json", described)
+    return AugmentedSet.load(folder)
+
+
+def remake(
+    hands: HandSet, backgrounds: Backgrounds, settings: AugmentationSettings, source: str, variant: int
+) -> Augmented:
+    """One image of a set again, alone: the same bytes as in the stored set.
+
+    Raises:
+        DataError: there is no original with the id ``source``.
+    """
+    for i, item in enumerate(hands.items):
+        if item.id == source:
+            return augment(source, cut_out(*hands.read(i), settings), variant, backgrounds, settings)
+    raise DataError(
+        hands.name, f"holds no image {source!r}; its ids go from {hands.items[0].id} to {hands.items[-1].id}"
+    )
+
+
+_Job = tuple[HandSet, Backgrounds, AugmentationSettings]
+_job: _Job | None = None
+
+
+def _all_variants(
+    hands: HandSet, backgrounds: Backgrounds, settings: AugmentationSettings, workers: int
+) -> Iterator[list[Augmented]]:
+    job = (hands, backgrounds, settings)
+    if workers == 1:
+        yield from (_variants(job, i) for i in range(len(hands)))
+        return
+    # spawned, not forked: the caller may hold the threads of a network
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(
+        workers, context, initializer=_begin, initargs=(job,)
+    ) as pool:
+        yield from pool.map(_work, range(len(hands)))
+
+
+def _begin(job: _Job) -> None:
+    global _job  # noqa: PLW0603  (one job for the life of a worker; sending it with every task would send all pictures)
+    _job = job
+    cv2.setNumThreads(1)
+
+
+def _work(i: int) -> list[Augmented]:
+    assert _job is not None
+    return _variants(_job, i)
+
+
+def _variants(job: _Job, i: int) -> list[Augmented]:
+    hands, backgrounds, settings = job
+    hand = cut_out(*hands.read(i), settings)
+    return [
+        augment(hands.items[i].id, hand, variant, backgrounds, settings)
+        for variant in range(settings.n_variants)
+    ]
+
+
+def _mapped(path: pathlib.Path, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise DataError(path, f"cannot be opened ({error}); write the augmented set again") from error
+    if array.shape != shape or array.dtype != np.uint8:
+        raise DataError(
+            path, f"holds {array.dtype} {array.shape}, not uint8 {shape}; write the augmented set again"
+        )
+    return array
+
+
+def _digest(
+    settings: AugmentationSettings, source: str, backgrounds: str, recipes: tuple[dict[str, Any], ...]
+) -> str:
+    return digest_of([settings, source, backgrounds, recipes])
+
+
+def _count(recipes: list[dict[str, Any]], name: str) -> int:
+    return sum(any(step["method"] == name for step in recipe["operations"]) for recipe in recipes)
