@@ -1,0 +1,182 @@
+"""Reliability as in the paper's Fig. 4, the diagram that matters to safety, and the gain by ensemble size."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from deltasafe.perception.calibration_report import CalibrationReport
+from deltasafe.perception.paper_results import ENSEMBLE_SIZE_RESULTS
+from deltasafe.perception.reliability import CONFIDENCE_EDGES, DELTA_GRID, Curve
+
+__all__ = ["ensemble_size_figure", "reliability_figure"]
+
+_GREY = "#9a9a9a"
+_BLUE = "#0072B2"
+_RED = "#C8102E"
+_SIZE_COLOURS = {2: _RED, 5: "#009E73", 10: _BLUE}
+_SMALLEST_P = 3e-5
+
+
+def reliability_figure(report: CalibrationReport) -> Figure:
+    """The paper's reliability diagram (left) and how often a pixel is occupied per p_occupied (right).
+
+    Bars below show how many pixels stand behind each point; bands are intervals by bootstrap over images.
+    """
+    figure = Figure(figsize=(11, 5.6), layout="constrained")
+    grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
+    top_left = figure.add_subplot(grid[0, 0])
+    bottom_left = figure.add_subplot(grid[1, 0], sharex=top_left)
+    top_right = figure.add_subplot(grid[0, 1])
+    bottom_right = figure.add_subplot(grid[1, 1], sharex=top_right)
+    _draw_confidence(top_left, report)
+    edges = np.array(CONFIDENCE_EDGES)
+    _draw_counts(bottom_left, edges, report.reliability.count, "Confidence")
+    _draw_safety(top_right, report)
+    edges = np.array([_SMALLEST_P, *DELTA_GRID, 1.0])
+    _draw_counts(
+        bottom_right, edges, report.safety.count, "$p_\\mathrm{occupied}$  $(= 1 - p_\\mathrm{free})$"
+    )
+    for axes in (top_left, top_right):
+        axes.tick_params(labelbottom=False)
+    return figure
+
+
+def ensemble_size_figure(report: CalibrationReport) -> Figure:
+    """BS and NLL of the mean of the first M members, beside the paper's Table III."""
+    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    sizes = np.arange(1, report.n_members + 1)
+    paper = [m for m in ENSEMBLE_SIZE_RESULTS if m <= max(report.n_members, 2)]
+    for column, (name, label) in enumerate((("brier", "Brier score"), ("nll", "NLL [nats]"))):
+        axes = figure.add_subplot(1, 2, column + 1)
+        values = [getattr(ensemble.scores, name) for ensemble in report.ensembles]
+        members = [getattr(member.scores, name) for member in report.members]
+        axes.plot(
+            np.ones(len(members)), members, "o", color=_GREY, alpha=0.7, ms=5, label="each member alone"
+        )
+        axes.plot(sizes, values, "o-", color=_BLUE, label="mean of the first $M$ members")
+        low, high = getattr(report.low, name), getattr(report.high, name)
+        axes.plot([sizes[-1]] * 2, [low, high], "_-", color=_BLUE, alpha=0.6, ms=10, lw=1.2)
+        axes.plot(
+            paper,
+            [ENSEMBLE_SIZE_RESULTS[m][column] for m in paper],
+            "s--",
+            color="black",
+            ms=3,
+            lw=0.9,
+            label="paper, Table III",
+        )
+        axes.set(xlabel="Ensemble size $M$", ylabel=label)
+        axes.set_ylim(bottom=0)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        _clean(axes)
+        axes.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def _draw_confidence(axes: Axes, report: CalibrationReport) -> None:
+    axes.plot([0.5, 1], [0.5, 1], "k--", lw=1, label="Ideal", zorder=1)
+    for index, member in enumerate(report.members):
+        _line(axes, member.reliability, color=_GREY, lw=1, label=None if index else "Members", zorder=2)
+    for m in sorted({2, 5, 10, report.n_members}):
+        if 1 < m < report.n_members:
+            curve = report.ensembles[m - 1].reliability
+            _line(axes, curve, color=_SIZE_COLOURS[m], lw=1.6, label=f"$M = {m}$", zorder=3)
+    final = report.reliability
+    colour = _SIZE_COLOURS.get(report.n_members, _BLUE)
+    _line(axes, final, color=colour, lw=2.2, marker="o", ms=4, label=f"$M = {report.n_members}$", zorder=4)
+    _band(axes, final, colour)
+    seen = [value for value in (*final.observed, *final.low) if value is not None]
+    members = [v for m in report.members for v in m.reliability.observed if v is not None]
+    bottom = max(0.0, np.floor(min(0.5, *seen, *members) * 20) / 20)
+    axes.set(xlim=(0.5, 1), ylim=(bottom, 1), ylabel="Accuracy", title="Is it as often right as it is sure?")
+    axes.legend(frameon=False, fontsize=9, loc="upper left", ncols=2)
+    _clean(axes)
+
+
+def _draw_safety(axes: Axes, report: CalibrationReport) -> None:
+    curve = report.safety
+    stated = np.array([np.nan if value is None else max(value, _SMALLEST_P) for value in curve.stated])
+    observed = np.array([np.nan if value is None else value for value in curve.observed])
+    positive = observed[observed > 0]
+    floor = 10.0 ** np.floor(np.log10(max(positive.min(), 1e-6))) / 2 if len(positive) else 1e-6
+    span = np.array([_SMALLEST_P, 1.0])
+    axes.fill_between(span, span, 1.0, color=_RED, alpha=0.06, lw=0)
+    axes.plot(span, span, "k--", lw=1, label="Ideal")
+    axes.text(
+        0.02,
+        0.97,
+        "more often occupied than stated",
+        transform=axes.transAxes,
+        va="top",
+        color=_RED,
+        fontsize=9,
+    )
+    if curve.low:
+        low = np.array([np.nan if value is None else max(value, floor) for value in curve.low])
+        high = np.array([np.nan if value is None else max(value, floor) for value in curve.high])
+        axes.fill_between(stated, low, high, color=_BLUE, alpha=0.18, lw=0)
+    shown = np.where(observed > 0, observed, np.nan)
+    axes.plot(stated, shown, "o-", color=_BLUE, ms=4, lw=1.6, label="Pixels of one bin")
+    if (observed == 0).any():
+        never = observed == 0
+        axes.plot(
+            stated[never], np.full(never.sum(), floor), "v", color=_BLUE, mfc="white", label="Never occupied"
+        )
+    deltas = np.array([row.delta for row in report.support])
+    bounds = np.array([row.upper_bound for row in report.support])
+    axes.plot(
+        deltas,
+        bounds,
+        color="#E69F00",
+        lw=1.6,
+        label=f"All pixels with $p \\leq \\delta$: {report.settings.level:.0%} bound",
+    )
+    supported = report.smallest_supported_delta
+    if supported is not None:
+        axes.axvline(supported, color="#E69F00", lw=1, ls=":")
+        axes.annotate(
+            f"$\\delta \\geq {supported:g}$\nsupported",
+            (supported, floor),
+            xytext=(5, 6),
+            textcoords="offset points",
+            fontsize=9,
+            color="#8a5f00",
+        )
+    axes.set(xscale="log", yscale="log", xlim=(_SMALLEST_P, 1), ylim=(floor / 1.5, 1))
+    axes.set(ylabel="Share of occupied pixels", title="How often is a pixel occupied that counts as free?")
+    axes.legend(frameon=False, fontsize=9, loc="lower right")
+    _clean(axes)
+
+
+def _draw_counts(axes: Axes, edges: np.ndarray, count: Sequence[int], label: str) -> None:
+    share = np.array(count) / sum(count)
+    axes.bar(
+        edges[:-1], share, width=np.diff(edges), align="edge", color="#c9d6df", edgecolor="white", lw=0.6
+    )
+    positive = share[share > 0]
+    axes.set(yscale="log", xlabel=label, ylabel="Pixels")
+    axes.set_ylim(10.0 ** np.floor(np.log10(positive.min())) / 2, 2)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
+    axes.tick_params(axis="y", labelsize=8)
+    _clean(axes)
+
+
+def _line(axes: Axes, curve: Curve, **style: Any) -> None:
+    points = [(x, y) for x, y in zip(curve.stated, curve.observed, strict=True) if x is not None]
+    axes.plot(*zip(*points, strict=True), **style)
+
+
+def _band(axes: Axes, curve: Curve, colour: str) -> None:
+    rows = zip(curve.stated, curve.low, curve.high, strict=True)
+    x, low, high = zip(*((x, a, b) for x, a, b in rows if x is not None), strict=True)
+    axes.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
+
+
+def _clean(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True, which="major", color="#e6e6e6", lw=0.6)
+    axes.set_axisbelow(True)

@@ -1,0 +1,186 @@
+"""From the members' predictions on labelled images to a calibration report.
+
+Images are visited one after another; every figure is computed from sums per image, so that memory does not
+grow with their number, and intervals come from drawing images.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import SettingsError
+from deltasafe.perception.calibration import DeltaSupport, delta_support, smallest_supported_delta
+from deltasafe.perception.calibration_report import (
+    CalibrationReport,
+    CalibrationSettings,
+    Predictor,
+    RecalibrationResult,
+)
+from deltasafe.perception.metrics import (
+    ImageScores,
+    Scores,
+    mean_and_sd,
+    pool_scores,
+    require_label,
+    require_p_occupied,
+    score_image,
+)
+from deltasafe.perception.recalibration import (
+    apply_temperature,
+    cross_fitted_temperatures,
+    fit_temperature,
+    logit_counts,
+    stack_logit_counts,
+)
+from deltasafe.perception.reliability import (
+    BinCounts,
+    bootstrap_weights,
+    confidence_counts,
+    curve,
+    expected_calibration_error,
+    safety_counts,
+    stack_counts,
+)
+from deltasafe.progress import Progress, silent
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    image_ids: Sequence[str],
+    labels: Sequence[NDArray[np.generic]],
+    predictions: Sequence[NDArray[np.floating]],
+    settings: CalibrationSettings | None = None,
+    progress: Progress = silent,
+) -> CalibrationReport:
+    """Judge an ensemble and its members on labelled images.
+
+    Args:
+        image_ids: N unique names.
+        labels: N masks (H, W), bool or 0/255; sizes may differ between images.
+        predictions: N arrays (M, H, W) of the members' p_occupied; read one at a time (`MemberPredictions`).
+
+    Raises:
+        SettingsError: nothing to judge on, numbers that do not match, or values that are no masks or
+            probabilities.
+    """
+    settings = settings or CalibrationSettings()
+    n_images = len(image_ids)
+    if not n_images == len(labels) == len(predictions) or n_images == 0:
+        raise SettingsError(
+            f"one label and one prediction an image are needed, got {n_images} ids, {len(labels)} labels, "
+            f"{len(predictions)} predictions"
+        )
+    if len(set(image_ids)) != n_images:
+        raise SettingsError("image_ids must be unique")
+    if 1 < n_images < settings.n_folds:
+        raise SettingsError(f"n_folds is {settings.n_folds}, but there are {n_images} images")
+    members: list[_Tally] = []
+    ensembles: list[_Tally] = []
+    safety, logits = [], []
+    for index, image_id in enumerate(image_ids):
+        label, stack = _checked(image_id, labels[index], predictions[index], len(members))
+        members = members or [_Tally() for _ in stack]
+        ensembles = ensembles or [_Tally() for _ in stack]
+        total = np.zeros(label.shape)
+        for m, p_member in enumerate(stack):
+            total += p_member
+            p_mean = total / (m + 1)
+            members[m].add(p_member, label)
+            ensembles[m].add(p_mean, label)
+        safety.append(safety_counts(p_mean, label))
+        logits.append(logit_counts(p_mean, label))
+        progress(index + 1, n_images, f"judged {image_id}")
+
+    weights = bootstrap_weights(n_images, settings.n_bootstrap, settings.seed)
+    low, high = _interval(ensembles[-1].scores, weights, settings.level)
+    safety_all = stack_counts(safety)
+    member_results = tuple(member.result() for member in members)
+    recalibration = None
+    if n_images > 1:
+        stacked = stack_logit_counts(logits)
+        unseen = cross_fitted_temperatures(stacked, settings.n_folds or None)
+        recalibration = _recalibrated(labels, predictions, fit_temperature(stacked), unseen, settings)
+    return CalibrationReport(
+        settings=settings,
+        image_ids=tuple(image_ids),
+        images=tuple(ensembles[-1].scores),
+        members=member_results,
+        member_mean=mean_and_sd([member.scores for member in member_results]),
+        ensembles=tuple(ensemble.result() for ensemble in ensembles),
+        low=low,
+        high=high,
+        reliability=curve(stack_counts(ensembles[-1].confidence), weights, settings.level),
+        safety=curve(safety_all, weights, settings.level),
+        support=_support(safety_all, settings),
+        recalibration=recalibration,
+    )
+
+
+@dataclasses.dataclass
+class _Tally:
+    """Sums of one predictor, image by image."""
+
+    scores: list[ImageScores] = dataclasses.field(default_factory=list)
+    confidence: list[BinCounts] = dataclasses.field(default_factory=list)
+
+    def add(self, p_occupied: NDArray[np.floating], label: NDArray[np.bool_]) -> None:
+        self.scores.append(score_image(p_occupied, label))
+        self.confidence.append(confidence_counts(p_occupied, label))
+
+    def result(self) -> Predictor:
+        counts = stack_counts(self.confidence)
+        return Predictor(pool_scores(self.scores), expected_calibration_error(counts), curve(counts))
+
+
+def _checked(
+    image_id: str, label: NDArray[np.generic], stack: NDArray[np.floating], n_members: int
+) -> tuple[NDArray[np.bool_], NDArray[np.floating]]:
+    try:
+        occupied = require_label(label)
+        if np.ndim(stack) != 3 or len(stack) == 0 or n_members not in (0, len(stack)):
+            raise SettingsError(
+                f"predictions must have shape (M, H, W), M the same in all images, got {np.shape(stack)}"
+            )
+        require_p_occupied(stack[0], occupied.shape)
+    except SettingsError as error:
+        raise SettingsError(f"{image_id}: {error}") from error
+    return occupied, stack
+
+
+def _recalibrated(
+    labels: Sequence[NDArray[np.generic]],
+    predictions: Sequence[NDArray[np.floating]],
+    temperature: float,
+    unseen: NDArray[np.float64],
+    settings: CalibrationSettings,
+) -> RecalibrationResult:
+    tally, safety = _Tally(), []
+    for label, stack, t in zip(labels, predictions, unseen, strict=True):
+        occupied = require_label(label)
+        p_occupied = apply_temperature(np.mean(stack, axis=0, dtype=np.float64), float(t))
+        tally.add(p_occupied, occupied)
+        safety.append(safety_counts(p_occupied, occupied))
+    result = tally.result()
+    return RecalibrationResult(
+        temperature=temperature,
+        lowest=float(unseen.min()),
+        highest=float(unseen.max()),
+        scores=result.scores,
+        expected_calibration_error=result.expected_calibration_error,
+        smallest_supported_delta=smallest_supported_delta(_support(stack_counts(safety), settings)),
+    )
+
+
+def _support(counts: BinCounts, settings: CalibrationSettings) -> tuple[DeltaSupport, ...]:
+    return delta_support(counts, n_bootstrap=settings.n_bootstrap, level=settings.level, seed=settings.seed)
+
+
+def _interval(
+    images: Sequence[ImageScores], weights: NDArray[np.int64], level: float
+) -> tuple[Scores, Scores]:
+    drawn = np.array([dataclasses.astuple(pool_scores(images, row)) for row in weights.tolist()])
+    low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2], axis=0)
+    return Scores(*low.tolist()), Scores(*high.tolist())
