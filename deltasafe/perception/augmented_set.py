@@ -118,6 +118,7 @@ def write_augmented_set(
     backgrounds: str | pathlib.Path | None,
     settings: AugmentationSettings,
     folder: str | pathlib.Path,
+    *,
     workers: int = 2,
     progress: Progress = silent,
 ) -> AugmentedSet:

@@ -25,8 +25,8 @@ def colour_hand(
     if rng.random() < 0.5:
         drawn["side_light"] = float(rng.uniform(0.1, 0.5))
         rgb = rgb * light_falloff(rng, width, height, drawn["side_light"])
-    if rng.random() < 0.3:  # against the light, or in a lamp's cone
-        drawn["own_exposure_stops"] = float(rng.uniform(-1.2, 0.4))
+    if rng.random() < 0.25:  # against the light, or in a lamp's cone
+        drawn["own_exposure_stops"] = float(rng.uniform(-0.8, 0.4))
         rgb = rgb * np.float32(2.0 ** drawn["own_exposure_stops"])
     return np.clip(rgb, 0.0, 1.0).astype(np.float32), drawn
 
@@ -37,7 +37,7 @@ def colour_picture(
     """Another camera for the whole picture ``(H, W, 3)`` float32: white balance, exposure, contrast, saturation, vignette."""
     height, width = picture.shape[:2]
     warm, green = float(rng.normal(0, 0.13)), float(rng.normal(0, 0.05))
-    stops, gamma = float(rng.uniform(-0.8, 0.6)), float(np.exp(rng.uniform(-0.3, 0.3)))
+    stops, gamma = float(rng.uniform(-0.6, 0.6)), float(np.exp(rng.uniform(-0.3, 0.3)))
     saturation, vignette = float(rng.uniform(0.55, 1.4)), float(rng.uniform(0.0, 0.35))
     gains = np.exp(np.array([warm, green, -warm])).astype(np.float32) * np.float32(2.0**stops)
     picture = np.clip(picture, 0.0, 1.0) ** np.float32(gamma) * gains

@@ -59,7 +59,7 @@ class Arm:
         extent = np.ptp(xs * across[0] + ys * across[1]) + 1
         hand_extent = np.ptp(np.quantile(xs_hand * across[0] + ys_hand * across[1], (0.02, 0.98))) + 1
         narrowing = float(np.clip(0.6 * hand_extent / extent, 0.62, 1.0))
-        return cls(crossing, direction, float(extent), narrowing)
+        return cls(crossing.astype(np.float32), direction.astype(np.float32), float(extent), narrowing)
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``along`` and ``across`` of points ``(..., 2)`` in pixels of the source."""
@@ -79,22 +79,23 @@ class Arm:
 
         Points elsewhere outside are left outside, where nothing is.
         """
-        beyond = np.zeros(points.shape[:-1], np.float32)
-        for axis, size in ((0, width), (1, height)):
-            step = float(self.direction[axis])
-            overshoot = points[..., axis] - (size - 1) if step > 0 else -points[..., axis]
-            if abs(step) > 0.05:
-                beyond = np.maximum(beyond, overshoot / abs(step))
-        outside = beyond > 0
-        base = points - beyond[..., None] * self.direction.astype(np.float32)
-        base = self.crossing + (base - self.crossing) / self.profile(beyond)[..., None]
-        _, across = self.coordinates(points)
-        belongs = outside & (np.abs(across) < 0.62 * self.width * self.profile(beyond))
-        result = np.where(belongs[..., None], base, points)
-        inside = (result >= -0.5).all(-1) & (result[..., 0] < width - 0.5) & (result[..., 1] < height - 0.5)
-        clipped = np.clip(result, 0, (width - 1, height - 1))
-        return np.where(inside[..., None], clipped, -10.0).astype(np.float32)
+        x, y = points[..., 0], points[..., 1]
+        outside = (x < 0) | (y < 0) | (x > width - 1) | (y > height - 1)
+        result = points.copy()
+        result[outside] = self._seen_at_border(points[outside], np.array([width, height], np.float32))
+        return result
 
+    def _seen_at_border(self, points: np.ndarray, size: np.ndarray) -> np.ndarray:
+        steps = np.where(np.abs(self.direction) > 0.05, self.direction, np.float32(np.inf))
+        overshoot = np.where(steps > 0, points - (size - 1), points)
+        beyond = np.maximum((overshoot / steps).max(-1), 0.0)
+        profile = self.profile(beyond)
+        _, across = self.coordinates(points)
+        base = points - beyond[:, None] * self.direction
+        base = self.crossing + (base - self.crossing) / profile[:, None]
+        seen = (beyond > 0) & (np.abs(across) < 0.62 * self.width * profile)
+        seen &= ((base >= -0.5) & (base < size - 0.5)).all(-1)
+        return np.where(seen[:, None], np.clip(base, 0, size - 1), np.float32(-10.0))
 
 @dataclasses.dataclass(frozen=True)
 class CutOut:

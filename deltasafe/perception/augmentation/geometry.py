@@ -15,9 +15,9 @@ __all__ = ["Warp", "cropping", "flip", "grid_distortion", "rotation"]
 Warp = Callable[[np.ndarray], np.ndarray]
 Drawn = tuple[Warp, np.ndarray, dict[str, float | int | str]]
 
-SCALES = (0.5, 1.4)
+SCALES = (0.45, 1.4)
 GRID_CELLS = (3, 6)
-GRID_SHIFT = 0.28
+GRID_SHIFT = 0.24
 
 
 def flip(rng: np.random.Generator, size: tuple[int, int], centre: np.ndarray) -> Drawn:
@@ -55,7 +55,7 @@ def rotation(rng: np.random.Generator, size: tuple[int, int], centre: np.ndarray
 
 
 def grid_distortion(rng: np.random.Generator, size: tuple[int, int], centre: np.ndarray) -> Drawn:
-    """Shift the nodes of a grid of 3 to 6 cells a side by up to 0.28 of a cell, smoothly in between."""
+    """Shift the nodes of a grid of 3 to 6 cells a side by up to 0.24 of a cell, smoothly in between."""
     n_cells = int(rng.integers(GRID_CELLS[0], GRID_CELLS[1] + 1))
     cell = np.array([size[0] / n_cells, size[1] / n_cells], np.float32)
     shifts = rng.uniform(-GRID_SHIFT, GRID_SHIFT, (n_cells + 1, n_cells + 1, 2)).astype(np.float32) * cell
@@ -69,7 +69,7 @@ def grid_distortion(rng: np.random.Generator, size: tuple[int, int], centre: np.
 
 
 def cropping(rng: np.random.Generator, size: tuple[int, int], centre: np.ndarray) -> Drawn:
-    """Another section of the scene: hand 0.5 to 1.4 times as large (log-uniform), its middle anywhere near the middle."""
+    """Another section of the scene: hand 0.45 to 1.4 times as large (log-uniform), its middle anywhere near the middle."""
     scale = float(np.exp(rng.uniform(*np.log(SCALES))))
     moved = rng.uniform(0.25, 0.75, 2) * size
 

@@ -7,8 +7,8 @@ __all__ = ["N_TONES", "recolour", "skin_colour", "tone_lab"]
 
 N_TONES = 20
 # lightness, and the green-red and blue-yellow coordinates that go with it
-_LIGHTNESS = np.linspace(14.0, 84.0, N_TONES)
-_KNOTS = (14.0, 25.0, 38.0, 50.0, 62.0, 72.0, 84.0)
+_LIGHTNESS = np.linspace(19.0, 84.0, N_TONES)
+_KNOTS = (19.0, 27.0, 38.0, 50.0, 62.0, 72.0, 84.0)
 _RED = np.interp(_LIGHTNESS, _KNOTS, (6.0, 10.0, 14.0, 16.0, 15.0, 13.0, 9.0))
 _YELLOW = np.interp(_LIGHTNESS, _KNOTS, (5.0, 10.0, 17.0, 21.0, 21.0, 19.0, 13.0))
 

@@ -8,8 +8,8 @@ __all__ = ["SURFACES", "any_colour", "light_falloff", "smooth_noise", "surface"]
 
 def surface(rng: np.random.Generator, width: int, height: int) -> tuple[np.ndarray, str]:
     """A random surface ``(H, W, 3)`` float32 in [0, 1] and the name of its kind."""
-    kind = list(SURFACES)[int(rng.integers(len(SURFACES)))]
-    return np.clip(SURFACES[kind](rng, width, height), 0.0, 1.0).astype(np.float32), kind
+    kind = str(rng.choice(list(SURFACES), p=[share for _, share in SURFACES.values()]))
+    return np.clip(SURFACES[kind][0](rng, width, height), 0.0, 1.0).astype(np.float32), kind
 
 
 def smooth_noise(
@@ -143,13 +143,14 @@ def _turned(rng: np.random.Generator, square: np.ndarray, width: int, height: in
     return turned * light_falloff(rng, width, height, float(rng.uniform(0, 0.3)))
 
 
+# each kind with its share: tables are mostly plain, wooden or softly mottled
 SURFACES = {
-    "plain": _plain,
-    "clouded": _clouded,
-    "wood": _wood,
-    "speckled": _speckled,
-    "gravel": _gravel,
-    "striped": _striped,
-    "tiled": _tiled,
-    "patterned": _patterned,
+    "plain": (_plain, 0.26),
+    "clouded": (_clouded, 0.16),
+    "wood": (_wood, 0.22),
+    "speckled": (_speckled, 0.1),
+    "gravel": (_gravel, 0.06),
+    "striped": (_striped, 0.07),
+    "tiled": (_tiled, 0.07),
+    "patterned": (_patterned, 0.06),
 }

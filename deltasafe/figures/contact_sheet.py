@@ -1,0 +1,100 @@
+"""Originals beside what the augmentation made of them, with the outline of every mask: what a person should look at."""
+
+import pathlib
+from typing import Any
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from deltasafe.errors import DataError
+from deltasafe.perception.augmented_set import AugmentedSet
+from deltasafe.perception.hands import HandSet
+from deltasafe.storage import atomic_file
+
+__all__ = ["contact_sheet"]
+
+OUTLINE = (0.0, 0.85, 1.0)
+LETTERS = {
+    "flip": "flip",
+    "rotation": "turn",
+    "grid_distortion": "grid",
+    "cropping": "crop",
+    "colour": "colour",
+    "noise": "noise",
+    "random_erase": "erase",
+}
+
+
+def contact_sheet(
+    hands: HandSet,
+    augmented: AugmentedSet,
+    destination: str | pathlib.Path,
+    n_originals: int = 6,
+    n_variants: int = 10,
+) -> pathlib.Path:
+    """Draw ``n_originals`` rows, evenly chosen: the original, then its first ``n_variants`` new images.
+
+    Args:
+        hands: the originals.
+        augmented: what was made of them.
+        destination: a picture file, written atomically; its suffix chooses the format.
+        n_originals: rows; at most as many as there are originals.
+        n_variants: new images in a row; at most as many as each original has.
+
+    Returns:
+        ``destination``.
+
+    Raises:
+        DataError: ``augmented`` was made from other originals.
+    """
+    destination = pathlib.Path(destination)
+    if augmented.source_digest != hands.digest:
+        raise DataError(augmented.folder, f"was not made from the set {hands.name!r}; write the augmented set again")
+    rows = np.unique(np.linspace(0, len(hands) - 1, min(n_originals, len(hands))).round().astype(int))
+    columns = min(n_variants, augmented.settings.n_variants)
+    aspect = augmented.settings.height / augmented.settings.width
+    cell, label = 1.6, 0.2
+    width, height = cell * (columns + 1), len(rows) * (cell * aspect + label) + 0.35
+    with mpl.rc_context({"font.size": 6.0}):
+        figure = Figure(figsize=(width, height), dpi=180)
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(len(rows), columns + 1, squeeze=False)
+        figure.subplots_adjust(0.004, 0.004, 0.996, 1 - 0.45 / height, wspace=0.03, hspace=label / (cell * aspect))
+        figure.suptitle(
+            f"{hands.name}: {len(hands)} originals (left), {augmented.n} new images; outlined: mask",
+            fontsize=8,
+            x=0.006,
+            ha="left",
+            y=1 - 0.06 / height,
+            va="top",
+        )
+        for row, original in zip(axes, rows, strict=True):
+            _draw(row[0], *hands.read(int(original)), hands.items[original].id)
+            first = int(original) * augmented.settings.n_variants
+            for column, axis in enumerate(row[1:]):
+                i = first + column
+                _draw(axis, augmented.images[i], augmented.masks[i], _label(augmented.recipes[i]))
+        with atomic_file(destination) as temporary:
+            figure.savefig(temporary, facecolor="white")
+    return destination
+
+
+def _draw(axis: Any, image: np.ndarray, mask: np.ndarray, title: str) -> None:
+    height, width = mask.shape
+    axis.imshow(image, interpolation="lanczos", extent=(0, width, height, 0), aspect="equal")
+    padded = cv2.copyMakeBorder(np.ascontiguousarray(mask), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    if padded.any():
+        x, y = np.arange(-0.5, width + 1), np.arange(-0.5, height + 1)
+        axis.contour(x, y, padded, levels=[0.5], colors=[OUTLINE], linewidths=0.45)
+    axis.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
+    axis.set_title(title, fontsize=4.6, pad=1.5, color="0.25")
+    for spine in axis.spines.values():
+        spine.set_visible(False)
+
+
+def _label(recipe: dict[str, Any]) -> str:
+    steps = [step["method"] for step in recipe["operations"]]
+    return " ".join(word for name, word in LETTERS.items() if name in steps) or "background only"
