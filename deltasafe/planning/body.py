@@ -1,11 +1,18 @@
 """R_0, the space that the tool occupies at the zero pose (section IV-A): one body for planner and simulator."""
 
 import dataclasses
+import functools
 import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["ToolBody"]
+__all__ = ["ToolBody", "distance_to_ellipse"]
+
+Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,3 +40,106 @@ class ToolBody:
     def rho_max_m(self) -> float:
         """Largest distance of a point of the body from the yaw axis: turns yaw error into workspace error."""
         return max(self.semi_axis_x_m, self.semi_axis_y_m)
+
+    @property
+    def disc_radius_m(self) -> float:
+        """Radius of the ball around the centre that encloses the disc."""
+        return math.hypot(self.rho_max_m, self.thickness_m / 2)
+
+    def distance_m(self, points_m: Array) -> Array:
+        """Distance (N,) of points (N, 3) in the body's frame to disc and shaft; 0 inside."""
+        points_m = np.asarray(points_m, dtype=np.float64)
+        beside = distance_to_ellipse(points_m[:, :2], self.semi_axis_x_m, self.semi_axis_y_m)
+        above = np.maximum(np.abs(points_m[:, 2]) - self.thickness_m / 2, 0.0)
+        disc_m = np.hypot(beside, above)
+        off_axis = np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]) - self.shaft_radius_m, 0.0)
+        beyond = np.maximum(np.maximum(-points_m[:, 2], points_m[:, 2] - self.shaft_length_m), 0.0)
+        return np.asarray(np.minimum(disc_m, np.hypot(off_axis, beyond)))
+
+    def samples(self, margin_m: float, count: int, seed: int) -> Array:
+        """(count, 3) points drawn uniformly from R_0 + B(margin): the true enlargement by a ball.
+
+        The enlargement is no ellipsoid (decision 12): points are drawn from two boxes that touch, one around
+        the disc, one around the rest of the shaft, and kept if their distance to the body is at most the margin.
+        """
+        if not (math.isfinite(margin_m) and margin_m >= 0) or count < 1:
+            raise SettingsError(f"samples need margin_m >= 0 and count >= 1, got {margin_m}, {count}")
+        rng = np.random.default_rng(seed)
+        half = self.thickness_m / 2 + margin_m
+        wide = np.array([self.semi_axis_x_m + margin_m, self.semi_axis_y_m + margin_m])
+        slim = np.full(2, self.shaft_radius_m + margin_m)
+        top = max(self.shaft_length_m + margin_m, half)
+        share = 4 * wide.prod() * 2 * half
+        share /= share + 4 * slim.prod() * (top - half)
+        kept: list[Array] = []
+        while sum(map(len, kept)) < count:
+            low = rng.random(2 * count) < share
+            unit = rng.random((2 * count, 3))
+            xy = (2 * unit[:, :2] - 1) * np.where(low[:, None], wide, slim)
+            z = np.where(low, (2 * unit[:, 2] - 1) * half, half + unit[:, 2] * (top - half))
+            points_m = np.column_stack([xy, z])
+            kept.append(points_m[self.distance_m(points_m) <= margin_m])
+        return np.concatenate(kept)[:count]
+
+    @functools.cached_property
+    def disc_cover(self) -> tuple[Array, float]:
+        """Balls whose union contains the disc: centres (n, 3) in the body's frame, and their common radius.
+
+        Layers of rings along the rim and of a hexagonal lattice inside. The radius is the largest distance of
+        a point of the disc to its nearest centre, found on a grid and enlarged by the grid's own resolution.
+        """
+        a, b = self.semi_axis_x_m, self.semi_axis_y_m
+        layers = max(1, math.ceil(self.thickness_m / 0.005 - 1e-9))
+        half_layer = self.thickness_m / (2 * layers)
+        inset = min(0.003, 0.4 * min(a, b) ** 2 / max(a, b))
+        spacing = 1.2 * inset
+        rim = _inset_ellipse(a, b, inset, spacing)
+        pitch = 1.5 * inset
+        x, y = np.meshgrid(np.arange(-a, a + pitch, pitch), np.arange(-b, b + pitch, pitch * math.sqrt(3) / 2))
+        x = x + np.where(np.arange(len(x)) % 2, pitch / 2, 0.0)[:, None]
+        inner = np.column_stack([x.ravel(), y.ravel()])
+        inner_a, inner_b = a - inset - 0.5 * pitch, b - inset - 0.5 * pitch
+        if min(inner_a, inner_b) > 0:
+            inner = inner[(inner[:, 0] / inner_a) ** 2 + (inner[:, 1] / inner_b) ** 2 <= 1]
+            rim = np.concatenate([rim, inner])
+        fine = inset / 20
+        gx, gy = np.meshgrid(np.arange(-a - fine, a + fine, fine), np.arange(-b - fine, b + fine, fine))
+        disc = np.column_stack([gx.ravel(), gy.ravel()])
+        disc = disc[distance_to_ellipse(disc, a, b) <= fine]
+        reach = cKDTree(rim).query(disc)[0].max() + fine / math.sqrt(2)
+        heights = (np.arange(layers) * 2 + 1 - layers) * half_layer
+        centres = np.concatenate([np.column_stack([rim, np.full(len(rim), height)]) for height in heights])
+        # from the outside in: the first ball looked at is the likeliest to be unsafe
+        centres = centres[np.argsort(-np.hypot(centres[:, 0], centres[:, 1]), kind="stable")]
+        centres.setflags(write=False)
+        return centres, math.hypot(reach, half_layer)
+
+
+def distance_to_ellipse(points_m: Array, a_m: float, b_m: float) -> Array:
+    """Distance (N,) of points (N, 2) to the ellipse with semi-axes a, b along x, y; 0 inside.
+
+    The nearest point is (a^2 x / (t + a^2), b^2 y / (t + b^2)) with t >= 0 the root of a decreasing function,
+    found by bisection.
+    """
+    x, y = np.abs(np.asarray(points_m, dtype=np.float64)).T
+    distance_m = np.zeros(len(x))
+    outside = (x / a_m) ** 2 + (y / b_m) ** 2 > 1
+    x, y = x[outside], y[outside]
+    low, high = np.zeros(len(x)), np.hypot(a_m * x, b_m * y)
+    for _ in range(60):
+        middle = (low + high) / 2
+        beyond = (a_m * x / (middle + a_m**2)) ** 2 + (b_m * y / (middle + b_m**2)) ** 2 > 1
+        low, high = np.where(beyond, middle, low), np.where(beyond, high, middle)
+    distance_m[outside] = np.hypot(x * high / (high + a_m**2), y * high / (high + b_m**2))
+    return distance_m
+
+
+def _inset_ellipse(a_m: float, b_m: float, inset_m: float, spacing_m: float) -> Array:
+    angle = np.linspace(0, 2 * math.pi, 4000, endpoint=False)
+    normal = np.column_stack([np.cos(angle) / a_m, np.sin(angle) / b_m])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    curve = np.column_stack([a_m * np.cos(angle), b_m * np.sin(angle)]) - inset_m * normal
+    steps = np.linalg.norm(np.diff(curve, axis=0, append=curve[:1]), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)[:-1]])
+    count = math.ceil(steps.sum() / spacing_m)
+    return np.asarray(curve[np.searchsorted(along, steps.sum() * np.arange(count) / count)])

@@ -1,0 +1,21 @@
+"""What the camera sees, as probabilities in the workspace."""
+
+from deltasafe.scene.camera import Camera
+from deltasafe.scene.extrusion import FieldSettings, grid_from_image
+from deltasafe.scene.logs import LoggedScene, load_scenes
+from deltasafe.scene.occupancy import OccupancyGrid
+from deltasafe.scene.shapes import Cuboid, Shape, Sphere, grid_from_shapes, p_occupied_near
+
+__all__ = [
+    "Camera",
+    "Cuboid",
+    "FieldSettings",
+    "LoggedScene",
+    "OccupancyGrid",
+    "Shape",
+    "Sphere",
+    "grid_from_image",
+    "grid_from_shapes",
+    "load_scenes",
+    "p_occupied_near",
+]

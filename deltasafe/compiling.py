@@ -1,0 +1,31 @@
+"""numba with a cache that notices every change of this package."""
+
+import functools
+import hashlib
+import pathlib
+from collections.abc import Callable
+from typing import Any
+
+import numba
+
+__all__ = ["compiled"]
+
+
+@functools.cache
+def _digest_of_sources() -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    root = pathlib.Path(__file__).parent
+    for path in [pathlib.Path(__file__), *sorted(root.glob("scene/*.py")), *sorted(root.glob("planning/*.py"))]:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """``numba.njit`` whose on-disk cache is valid for exactly this state of scene and planning.
+
+    numba itself looks only at the file that holds the function: after a change to a collision test in
+    another file it would go on running the old one. The stamp of the cache is therefore a digest of all sources.
+    """
+    dispatcher = numba.njit(cache=True)(function)
+    dispatcher._cache._cache_file._source_stamp = _digest_of_sources()
+    return dispatcher

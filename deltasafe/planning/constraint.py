@@ -1,0 +1,43 @@
+"""The one question that a search asks of its surroundings, answered in compiled code by the type of the answerer."""
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import types
+from numba.extending import overload
+
+from deltasafe.compiling import compiled
+
+__all__ = ["answers_segments", "segment_is_safe"]
+
+
+def segment_is_safe(constraint: Any, start: Any, end: Any) -> bool:
+    """Whether every pose of the straight segment between two poses (4,) meets the constraint.
+
+    Callable from compiled code alone, where it is resolved by the type of ``constraint``, a ``NamedTuple``
+    class for which ``answers_segments`` has registered a test.
+    """
+    raise TypeError("segment_is_safe is for compiled code; call ask_segment")
+
+
+def answers_segments(constraint_type: type) -> Callable[[Any], Any]:
+    """Register a compiled ``test(constraint, start, end) -> bool`` for a ``NamedTuple`` class."""
+
+    def register(test: Any) -> Any:
+        @overload(segment_is_safe)
+        def resolve(constraint, start, end):  # type: ignore[no-untyped-def]
+            if isinstance(constraint, types.BaseTuple) and (
+                getattr(constraint, "instance_class", None) is constraint_type
+            ):
+                return lambda constraint, start, end: test(constraint, start, end)
+            return None
+
+        return test
+
+    return register
+
+
+@compiled
+def ask_segment(constraint, start, end):  # type: ignore[no-untyped-def]
+    """``segment_is_safe`` for callers in Python."""
+    return segment_is_safe(constraint, start, end)

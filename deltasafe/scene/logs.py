@@ -1,0 +1,148 @@
+"""Logged scenes: an image of the table with a hand on it, its camera, and the task of the tool."""
+
+import dataclasses
+import math
+import pathlib
+import zipfile
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.geometry import Pose
+from deltasafe.scene.camera import Camera
+from deltasafe.storage import read_json
+
+__all__ = ["LoggedScene", "load_scenes"]
+
+
+@dataclasses.dataclass(frozen=True)
+class LoggedScene:
+    """One logged scene; pixels stay on disk. Mask and mesh are ground truth: for judging, never for planning.
+
+    Attributes:
+        id: name of the scene.
+        image_path: photograph, ``camera.height`` x ``camera.width``.
+        camera: the camera that took it.
+        table_z_m: height of the table.
+        hand_height_m: height above the table of the highest point of the hand inside the view.
+        start, goal: poses of the tool.
+        mask_path: true mask (255 = hand).
+        mesh_path: true mesh, read by ``true_mesh``.
+    """
+
+    id: str
+    image_path: pathlib.Path
+    camera: Camera
+    table_z_m: float
+    hand_height_m: float
+    start: Pose
+    goal: Pose
+    mask_path: pathlib.Path
+    mesh_path: pathlib.Path
+
+    @classmethod
+    def load(cls, folder: str | pathlib.Path) -> "LoggedScene":
+        """Read and check ``scene.json`` and the files that it names.
+
+        Raises:
+            DataError: a file is missing or a field is missing or outside its domain; names both.
+        """
+        folder = pathlib.Path(folder)
+        path = folder / "scene.json"
+        record = read_json(path)
+        truth = _member(path, record, "ground_truth")
+        try:
+            camera = Camera.from_json(_member(path, record, "camera"))
+        except SettingsError as error:
+            raise DataError(path, f"field camera: {error}") from error
+        hand_height_m = _number(path, record, "hand_height_m")
+        if hand_height_m <= 0:
+            raise DataError(path, f"field hand_height_m must be positive, got {hand_height_m}")
+        scene_id = _member(path, record, "id")
+        if not isinstance(scene_id, str) or not scene_id:
+            raise DataError(path, f"field id must be a name, got {scene_id!r}")
+        scene = cls(
+            id=scene_id,
+            image_path=_file(path, record, "image"),
+            camera=camera,
+            table_z_m=_number(path, record, "table_z_m"),
+            hand_height_m=hand_height_m,
+            start=_pose(path, record, "start"),
+            goal=_pose(path, record, "goal"),
+            mask_path=_file(path, truth, "mask"),
+            mesh_path=_file(path, truth, "mesh"),
+        )
+        scene.true_mesh()
+        return scene
+
+    def true_mesh(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Ground truth in the world frame: vertices_m (V, 3) float32 and triangles (F, 3) int32.
+
+        Raises:
+            DataError: the file is not such a mesh.
+        """
+        try:
+            with np.load(self.mesh_path, allow_pickle=False) as arrays:
+                vertices_m, triangles = arrays["vertices_m"], arrays["triangles"]
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise DataError(self.mesh_path, f"is not a mesh ({error})") from error
+        if vertices_m.ndim != 2 or vertices_m.shape[1] != 3 or not np.isfinite(vertices_m).all():
+            raise DataError(self.mesh_path, f"vertices_m must be finite (V, 3), got shape {vertices_m.shape}")
+        if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+            raise DataError(self.mesh_path, f"triangles must be integers (F, 3), got shape {triangles.shape}")
+        if triangles.size == 0 or triangles.min() < 0 or triangles.max() >= len(vertices_m):
+            raise DataError(self.mesh_path, f"triangles must index the {len(vertices_m)} vertices")
+        return vertices_m.astype(np.float32), triangles.astype(np.int32)
+
+
+def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
+    """All scenes of a folder (one sub-folder each, any that holds a ``scene.json``), in order of name.
+
+    Raises:
+        DataError: there is none, two share an id, or one is defective.
+    """
+    folder = pathlib.Path(folder)
+    scenes = tuple(LoggedScene.load(path.parent) for path in sorted(folder.glob("*/scene.json")))
+    if not scenes:
+        raise DataError(folder, "holds no scene (a sub-folder with a scene.json)")
+    ids = [scene.id for scene in scenes]
+    if len(set(ids)) < len(ids):
+        twice = sorted({scene_id for scene_id in ids if ids.count(scene_id) > 1})
+        raise DataError(folder, f"scene ids must differ, these occur more than once: {twice}")
+    return scenes
+
+
+def _member(path: pathlib.Path, record: Any, name: str) -> Any:
+    if not isinstance(record, Mapping) or name not in record:
+        raise DataError(path, f"field {name} is missing")
+    return record[name]
+
+
+def _number(path: pathlib.Path, record: Any, name: str) -> float:
+    value = _member(path, record, name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise DataError(path, f"field {name} must be a finite number, got {value!r}")
+    return float(value)
+
+
+def _pose(path: pathlib.Path, record: Any, name: str) -> Pose:
+    value = _member(path, record, name)
+    position = _member(path, value, "position_m")
+    if not isinstance(position, list) or len(position) != 3:
+        raise DataError(path, f"field {name}.position_m must hold x, y, z, got {position!r}")
+    try:
+        return Pose(*(float(coordinate) for coordinate in position), _number(path, value, "yaw_rad"))
+    except (TypeError, ValueError) as error:
+        raise DataError(path, f"field {name} is not a pose ({error})") from error
+
+
+def _file(path: pathlib.Path, record: Any, name: str) -> pathlib.Path:
+    value = _member(path, record, name)
+    if not isinstance(value, str) or pathlib.PurePath(value).name != value:
+        raise DataError(path, f"field {name} must be the name of a file beside it, got {value!r}")
+    if not (path.parent / value).is_file():
+        raise DataError(path.parent / value, f"is missing, though field {name} of {path.name} names it")
+    return path.parent / value

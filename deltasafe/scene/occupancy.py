@@ -1,0 +1,89 @@
+"""P(occupied) of every point of the workspace, as a grid: free above it, unknown and so occupied beside it."""
+
+import dataclasses
+import math
+import pathlib
+import zipfile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.storage import atomic_file
+
+__all__ = ["OccupancyGrid"]
+
+
+@dataclasses.dataclass(frozen=True)
+class OccupancyGrid:
+    """p_occupied, constant in each cubic voxel.
+
+    Outside the grid (decision 11): 0 above the plane of its upper face, 1 everywhere else, since what was not
+    seen is unknown, and unknown is occupied. Its lower face is the table.
+
+    Attributes:
+        p_occupied: (nx, ny, nz) float32 in [0, 1], read-only.
+        origin_m: (3,) lowest corner of the grid in the world frame.
+        voxel_m: edge of a voxel.
+
+    Raises:
+        SettingsError: wrong shapes, or a value outside [0, 1].
+    """
+
+    p_occupied: NDArray[np.float32]
+    origin_m: NDArray[np.float64]
+    voxel_m: float
+
+    def __post_init__(self) -> None:
+        p_occupied = np.array(self.p_occupied, dtype=np.float32, order="C")
+        origin_m = np.array(self.origin_m, dtype=np.float64)
+        if p_occupied.ndim != 3 or p_occupied.size == 0:
+            raise SettingsError(f"p_occupied must have shape (nx, ny, nz), got {p_occupied.shape}")
+        if not (p_occupied.min() >= 0 and p_occupied.max() <= 1):
+            raise SettingsError("p_occupied must lie in [0, 1]; NaN is not a probability")
+        if origin_m.shape != (3,) or not np.isfinite(origin_m).all():
+            raise SettingsError(f"origin_m must be a finite point, got {origin_m.tolist()}")
+        if not (math.isfinite(self.voxel_m) and self.voxel_m > 0):
+            raise SettingsError(f"voxel_m must be a positive length in metres, got {self.voxel_m}")
+        p_occupied.setflags(write=False)
+        origin_m.setflags(write=False)
+        object.__setattr__(self, "p_occupied", p_occupied)
+        object.__setattr__(self, "origin_m", origin_m)
+        object.__setattr__(self, "voxel_m", float(self.voxel_m))
+
+    @property
+    def upper_m(self) -> NDArray[np.float64]:
+        """(3,) highest corner of the grid; above its z the workspace is free."""
+        return np.asarray(self.origin_m + self.voxel_m * np.array(self.p_occupied.shape))
+
+    def at(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
+        """p_occupied (N,) float32 of world points (N, 3)."""
+        points_m = np.asarray(points_m, dtype=np.float64)
+        index = np.floor((points_m - self.origin_m) / self.voxel_m).astype(np.int64)
+        inside = ((index >= 0) & (index < self.p_occupied.shape)).all(axis=1)
+        p_occupied = np.where(index[:, 2] >= self.p_occupied.shape[2], np.float32(0), np.float32(1))
+        p_occupied[inside] = self.p_occupied[tuple(index[inside].T)]
+        return p_occupied
+
+    def save(self, file: str | pathlib.Path) -> None:
+        """Write as a compressed ``.npz``, atomically."""
+        file = pathlib.Path(file)
+        if file.suffix != ".npz":
+            raise SettingsError(f"an occupancy grid is stored as .npz, got {file.name}")
+        with atomic_file(file) as temporary:
+            np.savez_compressed(
+                temporary, p_occupied=self.p_occupied, origin_m=self.origin_m, voxel_m=np.float64(self.voxel_m)
+            )
+
+    @classmethod
+    def load(cls, file: str | pathlib.Path) -> "OccupancyGrid":
+        """Read what ``save`` wrote.
+
+        Raises:
+            DataError: the file is missing or holds no such grid.
+        """
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                return cls(arrays["p_occupied"], arrays["origin_m"], float(arrays["voxel_m"]))
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            raise DataError(file, f"is not an occupancy grid ({error})") from error

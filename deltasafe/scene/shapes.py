@@ -1,0 +1,88 @@
+"""Analytic obstacles whose occupancy falls linearly with the distance to their surface (section V-B)."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import SettingsError
+from deltasafe.scene.occupancy import OccupancyGrid
+
+__all__ = ["Cuboid", "Shape", "Sphere", "grid_from_shapes", "p_occupied_near"]
+
+Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Sphere:
+    """A ball of ``radius_m`` around ``centre_m``."""
+
+    centre_m: Triple
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.radius_m) and self.radius_m > 0):
+            raise SettingsError(f"radius_m must be positive, got {self.radius_m}")
+
+    def distance_m(self, points_m: Array) -> Array:
+        """Distance (N,) of points (N, 3) to the ball, 0 inside."""
+        return np.maximum(np.linalg.norm(np.asarray(points_m) - self.centre_m, axis=1) - self.radius_m, 0.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Cuboid:
+    """A box of half edges ``half_extents_m`` around ``centre_m``, turned by ``yaw_rad`` about the vertical."""
+
+    centre_m: Triple
+    half_extents_m: Triple
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(value) and value > 0 for value in self.half_extents_m):
+            raise SettingsError(f"half_extents_m must be positive, got {self.half_extents_m}")
+
+    def distance_m(self, points_m: Array) -> Array:
+        """Distance (N,) of points (N, 3) to the box, 0 inside."""
+        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        local = (np.asarray(points_m) - self.centre_m) @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+        return np.asarray(np.linalg.norm(np.maximum(np.abs(local) - self.half_extents_m, 0.0), axis=1))
+
+
+Shape: TypeAlias = Sphere | Cuboid
+
+
+def p_occupied_near(shapes: Sequence[Shape], decay_m: float, points_m: Array, slack_m: float = 0.0) -> Array:
+    """P(occupied) (N,) of points (N, 3): 1 in a shape, falling linearly to 0 at ``decay_m``; joined by noisy-OR.
+
+    Decision 14: 1 - prod(1 - p_i), so that a mean shape is always occupied. With ``slack_m`` the distances are
+    shortened by it, which bounds the probability of all points within that distance.
+    """
+    if not (math.isfinite(decay_m) and decay_m >= 0):
+        raise SettingsError(f"decay_m must not be negative, got {decay_m}")
+    p_free = np.ones(len(points_m))
+    for shape in shapes:
+        distance_m = np.maximum(shape.distance_m(points_m) - slack_m, 0.0)
+        p_free *= np.clip(distance_m / decay_m, 0.0, 1.0) if decay_m > 0 else distance_m > 0
+    return 1.0 - p_free
+
+
+def grid_from_shapes(
+    shapes: Sequence[Shape], decay_m: float, lower_m: Triple, upper_m: Triple, voxel_m: float = 0.005
+) -> OccupancyGrid:
+    """Grid between two corners; a voxel takes an upper bound of P(occupied) over all its points.
+
+    Raises:
+        SettingsError: the corners do not span a box, or ``decay_m`` or ``voxel_m`` is outside its domain.
+    """
+    lower, upper = np.asarray(lower_m, dtype=np.float64), np.asarray(upper_m, dtype=np.float64)
+    if not (upper > lower).all() or not voxel_m > 0:
+        raise SettingsError(f"a grid needs upper > lower and voxel_m > 0, got {lower_m}, {upper_m}, {voxel_m}")
+    counts = np.ceil((upper - lower) / voxel_m - 1e-9).astype(int)
+    axes = [lower[i] + voxel_m * (np.arange(counts[i]) + 0.5) for i in range(3)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    p_occupied = p_occupied_near(shapes, decay_m, centres, slack_m=voxel_m * math.sqrt(3) / 2)
+    return OccupancyGrid(p_occupied.reshape(counts).astype(np.float32), lower, voxel_m)
