@@ -56,21 +56,20 @@ def contact_sheet(
     rows = np.unique(np.linspace(0, len(hands) - 1, min(n_originals, len(hands))).round().astype(int))
     columns = min(n_variants, augmented.settings.n_variants)
     aspect = augmented.settings.height / augmented.settings.width
-    cell, label = 1.6, 0.2
-    width, height = cell * (columns + 1), len(rows) * (cell * aspect + label) + 0.35
+    cell_in, gap_in, label_in, head_in = 1.6, 0.04, 0.11, 0.2
+    width_in = (columns + 1) * (cell_in + gap_in) + gap_in
+    row_in = cell_in * aspect + label_in
+    height_in = len(rows) * (row_in + gap_in) + head_in + gap_in
     with mpl.rc_context({"font.size": 6.0}):
-        figure = Figure(figsize=(width, height), dpi=180)
+        figure = Figure(figsize=(width_in, height_in), dpi=180)
         FigureCanvasAgg(figure)
-        axes = figure.subplots(len(rows), columns + 1, squeeze=False)
-        figure.subplots_adjust(0.004, 0.004, 0.996, 1 - 0.45 / height, wspace=0.03, hspace=label / (cell * aspect))
-        figure.suptitle(
-            f"{hands.name}: {len(hands)} originals (left), {augmented.n} new images; outlined: mask",
-            fontsize=8,
-            x=0.006,
-            ha="left",
-            y=1 - 0.06 / height,
-            va="top",
-        )
+        title = f"{hands.name}: {len(hands)} originals (left), {augmented.n} new images; outlined: mask"
+        figure.text(gap_in / width_in, 1 - 0.5 * head_in / height_in, title, fontsize=7, va="center")
+        axes = np.empty((len(rows), columns + 1), dtype=object)
+        for r, c in np.ndindex(axes.shape):
+            left, bottom = gap_in + c * (cell_in + gap_in), height_in - head_in - r * (row_in + gap_in) - row_in
+            box = (left / width_in, bottom / height_in, cell_in / width_in, cell_in * aspect / height_in)
+            axes[r, c] = figure.add_axes(box)
         for row, original in zip(axes, rows, strict=True):
             _draw(row[0], *hands.read(int(original)), hands.items[original].id)
             first = int(original) * augmented.settings.n_variants

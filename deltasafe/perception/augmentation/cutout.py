@@ -18,12 +18,14 @@ class Arm:
         crossing: ``(2,)`` centre of the crossing with the border, x and y in pixels.
         direction: ``(2,)`` unit vector along the arm, out of the image.
         width: of the arm at the crossing, across its direction, in pixels.
+        run: least and greatest ``across`` of the crossing, in pixels.
         narrowing: how far the width has to shrink outside to become that of a wrist; 1 where it is a wrist or forearm.
     """
 
     crossing: np.ndarray
     direction: np.ndarray
     width: float
+    run: tuple[float, float]
     narrowing: float
 
     @classmethod
@@ -56,10 +58,12 @@ class Arm:
         if direction @ normal < 0.5:  # an arm along the border would be stretched without end
             direction = _unit(direction + (0.7 - direction @ normal) * normal)
         across = np.array([-direction[1], direction[0]])
-        extent = np.ptp(xs * across[0] + ys * across[1]) + 1
+        spread = (xs - crossing[0]) * across[0] + (ys - crossing[1]) * across[1]
+        run = (float(spread.min()), float(spread.max()))
+        extent = run[1] - run[0] + 1.0
         hand_extent = np.ptp(np.quantile(xs_hand * across[0] + ys_hand * across[1], (0.02, 0.98))) + 1
         narrowing = float(np.clip(0.6 * hand_extent / extent, 0.62, 1.0))
-        return cls(crossing.astype(np.float32), direction.astype(np.float32), float(extent), narrowing)
+        return cls(crossing.astype(np.float32), direction.astype(np.float32), extent, run, narrowing)
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``along`` and ``across`` of points ``(..., 2)`` in pixels of the source."""
@@ -90,10 +94,10 @@ class Arm:
         overshoot = np.where(steps > 0, points - (size - 1), points)
         beyond = np.maximum((overshoot / steps).max(-1), 0.0)
         profile = self.profile(beyond)
-        _, across = self.coordinates(points)
         base = points - beyond[:, None] * self.direction
         base = self.crossing + (base - self.crossing) / profile[:, None]
-        seen = (beyond > 0) & (np.abs(across) < 0.62 * self.width * profile)
+        _, across = self.coordinates(base)
+        seen = (beyond > 0) & (across > self.run[0] - 2.0) & (across < self.run[1] + 2.0)
         seen &= ((base >= -0.5) & (base < size - 0.5)).all(-1)
         return np.where(seen[:, None], np.clip(base, 0, size - 1), np.float32(-10.0))
 
@@ -105,6 +109,7 @@ class CutOut:
         rgb: ``(H, W, 3)`` float32 in [0, 1]; outside the hand the colour of its nearest inner pixel, so that no rim of
             the old background is left when the edge is blended.
         alpha: ``(H, W)`` float32 in [0, 1], the hand's coverage of each pixel.
+        smooth: ``rgb`` without its finer relief, for where the arm goes on: one line of pixels drawn out is all streaks.
         surroundings: ``(H, W, 3)`` float32, the image with the hand filled in from its surroundings.
         centre: ``(2,)`` middle of the hand's bounding box, x and y in pixels.
         arm: where the arm leaves the image, or None.
@@ -112,6 +117,7 @@ class CutOut:
 
     rgb: np.ndarray
     alpha: np.ndarray
+    smooth: np.ndarray
     surroundings: np.ndarray
     centre: np.ndarray
     arm: Arm | None
@@ -128,7 +134,7 @@ class CutOut:
             rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
             coverage = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
             mask = (coverage >= 0.5).astype(np.uint8)
-        mask = np.ascontiguousarray(mask, np.uint8)
+        mask = _without_severed_parts(np.ascontiguousarray(mask, np.uint8))
         colour = rgb.astype(np.float32) / 255.0
         padded = cv2.copyMakeBorder(mask, 3, 3, 3, 3, cv2.BORDER_REPLICATE)
         ellipse = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -140,7 +146,20 @@ class CutOut:
         hand = _filled(colour, inner if inner.any() else mask)
         around = cv2.GaussianBlur(_filled(colour, outer), (0, 0), 6.0) if outer.any() else colour
         surroundings = np.where(outer[..., None] > 0, colour, around)
-        return cls(hand, alpha, surroundings, centre, Arm.of(mask))
+        arm = Arm.of(mask)
+        smooth = hand if arm is None else cv2.GaussianBlur(hand, (0, 0), max(0.07 * arm.width, 0.5))
+        return cls(hand, alpha, smooth, surroundings, centre, arm)
+
+
+def _without_severed_parts(mask: np.ndarray) -> np.ndarray:
+    """The mask without smaller parts cut off by the border: a thumb whose root lies outside would float when moved."""
+    n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    if n_labels <= 2:
+        return mask
+    main = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    at_border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    severed = [label for label in at_border if label not in (0, main)]
+    return np.where(np.isin(labels, severed), 0, mask).astype(np.uint8)
 
 
 def _filled(colour: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -38,6 +38,10 @@ class Layers:
         x, y = np.ascontiguousarray(on_arm[..., 0]), np.ascontiguousarray(on_arm[..., 1])
         rgb = cv2.remap(hand.rgb, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         alpha = cv2.remap(hand.alpha, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        if hand.arm is not None:
+            along, _ = hand.arm.coordinates(points)
+            smooth = cv2.remap(hand.smooth, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            rgb += (smooth - rgb) * np.clip(along / (0.2 * hand.arm.width), 0.0, 1.0)[..., None]
         x, y = np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1])
         behind = cv2.remap(hand.surroundings, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         return cls(rgb, alpha, behind)
