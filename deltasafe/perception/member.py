@@ -74,6 +74,11 @@ class Member:
         return int(self.record["seed"])
 
     @property
+    def ensemble_identity(self) -> str:
+        """Shared by all members that were trained alike on the same data."""
+        return str(self.record["ensemble_identity"])
+
+    @property
     def losses(self) -> list[float]:
         return [float(value) for value in self.record["losses"]]
 

@@ -24,7 +24,14 @@ from deltasafe.perception.member import Member
 from deltasafe.perception.network import NetworkSettings, build_network, pretrained_weights_at_hand
 from deltasafe.storage import digest_of
 
-__all__ = ["StepReport", "TrainingSettings", "learning_rate", "pick_device", "train_member"]
+__all__ = [
+    "StepReport",
+    "TrainingSettings",
+    "learning_rate",
+    "pick_device",
+    "train_member",
+    "training_identity",
+]
 
 SCHEDULES = ("one_cycle", "exponential")
 PRECISIONS = ("float32", "bfloat16")
@@ -103,6 +110,11 @@ def pick_device(name: str = "auto") -> torch.device:
     return torch.device(name)
 
 
+def training_identity(data: AugmentedSet, settings: TrainingSettings, seed: int | None = None) -> str:
+    """Digest of all that determines a member; without ``seed``, of all that the members of an ensemble share."""
+    return digest_of({"settings": settings, "data": data.digest, "seed": seed})
+
+
 def train_member(
     data: AugmentedSet,
     settings: TrainingSettings,
@@ -120,7 +132,7 @@ def train_member(
         SettingsError: the set has fewer images than one batch, or the loss is no longer finite.
     """
     folder = pathlib.Path(folder)
-    identity = digest_of({"settings": settings, "data": data.digest, "seed": seed})
+    identity = training_identity(data, settings, seed)
     if (finished := Member.find(folder, identity)) is not None:
         return finished
     n_images = len(data.images)
@@ -169,6 +181,7 @@ def train_member(
         network.eval(),
         {
             "identity": identity,
+            "ensemble_identity": training_identity(data, settings),
             "seed": seed,
             "settings": dataclasses.asdict(settings),
             "data_digest": data.digest,

@@ -1,0 +1,60 @@
+# make demo  sets everything up and runs the whole chain on the embedded data (preset: PRESET=default)
+# make test  sets everything up and runs the checks and tests
+# make ui    opens the Dagster UI (and MLflow's) on the same storage
+#
+# TORCH_INDEX=https://download.pytorch.org/whl/cpu makes the installation smaller on machines without a GPU.
+
+PYTHON ?= python3
+PRESET ?= default
+TORCH_INDEX ?=
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+REQUIREMENTS := -e .[vision,sim] --group orchestration --group dev
+export DELTASAFE_PRESET := $(PRESET)
+
+.PHONY: demo test ui check lock clean record
+
+demo: $(STAMP)
+	$(BIN)/python -m pipelines.demo
+
+# the demo, and its figures written to docs/results
+record: $(STAMP)
+	$(BIN)/python -m pipelines.demo --record docs/results/$(PRESET).json
+
+test: $(STAMP) check
+	$(BIN)/python -m pytest
+
+check: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	DAGSTER_HOME= $(BIN)/dg check defs
+	DAGSTER_HOME= $(BIN)/dagster definitions validate -w workspace.yaml
+
+ui: $(STAMP)
+	$(BIN)/python -m pipelines.ui
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+	  { echo "deltasafe needs Python 3.11 or newer; set it with: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+	  { echo "$(PYTHON) lacks the venv module; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	@echo "Installing (about 4 minutes and 7 GB with the default build of torch) ..."
+	@if command -v uv >/dev/null 2>&1; then \
+	  VIRTUAL_ENV=$(VENV) uv pip install -q $(REQUIREMENTS) -c constraints.txt $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)); \
+	else \
+	  $(BIN)/python -m pip install -q --upgrade 'pip>=25.1' && \
+	  $(BIN)/python -m pip install -q $(REQUIREMENTS) -c constraints.txt $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)); \
+	fi
+	@touch $(STAMP)
+
+# constraints.txt: newest versions that install together, free of hosts
+lock:
+	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \
+	  --extra vision --extra sim --group orchestration --group dev pyproject.toml -o constraints.txt
+
+clean:
+	rm -rf $(VENV)

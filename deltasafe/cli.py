@@ -1,0 +1,82 @@
+"""`deltasafe verify FOLDER` and `deltasafe predict FOLDER IMAGE`: a frozen ensemble on the command line."""
+
+import argparse
+import pathlib
+import sys
+
+from deltasafe.errors import DataError, DeltasafeError
+
+__all__ = ["main"]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point; 0 on success, 1 with one line on standard error where an input is unusable."""
+    parser = argparse.ArgumentParser(prog="deltasafe", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    verify = commands.add_parser("verify", help="check that a frozen ensemble is intact and works here")
+    verify.add_argument("folder", type=pathlib.Path, help="folder of the frozen ensemble")
+    predict = commands.add_parser("predict", help="write the occupancy probability of an image")
+    predict.add_argument("folder", type=pathlib.Path, help="folder of the frozen ensemble")
+    predict.add_argument("image", type=pathlib.Path, help="picture of any size (PNG, JPEG, ...)")
+    predict.add_argument(
+        "-o",
+        "--output",
+        type=pathlib.Path,
+        help="overlay to write (PNG); beside it a 16-bit PNG of the probability itself "
+        "(default: IMAGE.p_occupied.png in the current folder)",
+    )
+    predict.add_argument("--delta", type=float, default=0.05, help="threshold that is outlined (default 0.05)")
+    options = parser.parse_args(arguments)
+    try:
+        if options.command == "verify":
+            _verify(options.folder)
+        else:
+            if not 0 < options.delta < 1:
+                parser.error(f"--delta must lie in (0, 1), got {options.delta}")
+            _predict(options.folder, options.image, options.output, options.delta)
+    except DeltasafeError as error:
+        print(f"deltasafe: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _verify(folder: pathlib.Path) -> None:
+    from deltasafe.perception.artifact import golden_difference, load_ensemble
+
+    ensemble = load_ensemble(folder)
+    difference = golden_difference(ensemble)
+    files = len(ensemble.manifest["files"])
+    supported = ensemble.calibration.smallest_supported_delta
+    print(f"{folder}: {files} files intact, M = {len(ensemble)}")
+    print(f"golden image answered within {difference:.1e} in probability")
+    print(f"smallest supported delta: {'none' if supported is None else f'{supported:g}'}")
+
+
+def _predict(folder: pathlib.Path, image: pathlib.Path, output: pathlib.Path | None, delta: float) -> None:
+    import cv2
+    import numpy as np
+
+    from deltasafe.figures.overlays import occupancy_overlay
+    from deltasafe.perception.artifact import load_ensemble
+    from deltasafe.perception.hands import read_rgb
+    from deltasafe.storage import atomic_file
+
+    rgb = read_rgb(image)
+    output = output or pathlib.Path(f"{image.stem}.p_occupied.png")
+    if output.suffix.lower() != ".png":
+        raise DataError(output, "must end in .png")
+    p_occupied = load_ensemble(folder).p_occupied(rgb)
+    values = output.with_name(f"{output.stem}.16bit.png")
+    for destination, pixels in (
+        (output, occupancy_overlay(rgb, p_occupied, delta)[..., ::-1]),
+        (values, np.round(p_occupied * 65535).astype(np.uint16)),
+    ):
+        with atomic_file(destination) as temporary:
+            temporary.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    share = float((p_occupied > delta).mean())
+    print(f"{output}: p_occupied > {delta:g} on {share:.1%} of the picture")
+    print(f"{values}: the probability itself, 0..65535 for 0..1")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,33 @@
+"""p_occupied over the photograph that it belongs to."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["occupancy_overlay"]
+
+_TINT = np.array([255.0, 120.0, 0.0])
+
+
+def occupancy_overlay(
+    rgb: NDArray[np.uint8], p_occupied: NDArray[np.float32], delta: float
+) -> NDArray[np.uint8]:
+    """The image tinted by probability, with the border of {p_occupied > delta} drawn in white.
+
+    Args:
+        rgb: (H, W, 3) uint8.
+        p_occupied: (H, W) float32.
+        delta: threshold of the border.
+
+    Returns:
+        (H, W, 3) uint8.
+    """
+    weight = 0.65 * p_occupied[..., None].astype(np.float64)
+    tinted = rgb * (1 - weight) + _TINT * weight
+    unsafe = p_occupied > delta
+    inner = unsafe.copy()
+    inner[1:] &= unsafe[:-1]
+    inner[:-1] &= unsafe[1:]
+    inner[:, 1:] &= unsafe[:, :-1]
+    inner[:, :-1] &= unsafe[:, 1:]
+    tinted[unsafe & ~inner] = 255.0
+    return np.round(tinted).astype(np.uint8)

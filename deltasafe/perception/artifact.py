@@ -1,0 +1,179 @@
+"""The frozen ensemble: a folder named by its content, verified before it is used, loaded without pickle.
+
+    manifest.json         format, M, class, preprocessing, network, seeds, digests of data, code and files
+    member-*.safetensors  weights
+    calibration.json      what the test images say about its probabilities
+    golden.npz            one image and the answer that it must give
+    ensemble.onnx         the whole ensemble as one program, for projects that do not install this package
+    model_card.md         what it is, how it was judged, where it fails
+"""
+
+import dataclasses
+import pathlib
+import shutil
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import ArtifactError, DataError, SettingsError
+from deltasafe.perception.calibration import Calibration
+from deltasafe.perception.ensemble import Ensemble, InferenceSettings
+from deltasafe.perception.member import Member, load_network
+from deltasafe.perception.model_card import model_card
+from deltasafe.perception.network import NetworkSettings
+from deltasafe.perception.onnx_export import export_onnx
+from deltasafe.storage import atomic_file, atomic_folder, read_json, sha256_of_file, write_json
+
+__all__ = ["FORMAT_VERSION", "FrozenEnsemble", "freeze_ensemble", "load_ensemble", "verify_artifact"]
+
+FORMAT_VERSION = 1
+GOLDEN_TOLERANCE = 1e-4
+
+
+class FrozenEnsemble(Ensemble):
+    """An ensemble that was loaded from a verified folder.
+
+    Attributes:
+        folder: where it lies.
+        manifest: content of `manifest.json`.
+        calibration: what the test images say about it.
+    """
+
+    def __init__(self, folder: pathlib.Path, manifest: dict[str, Any], device: str = "cpu") -> None:
+        network = NetworkSettings(**manifest["network"])
+        members = [load_network(network, folder / name) for name in manifest["members"]]
+        super().__init__(members, InferenceSettings(**manifest["inference"]), device)
+        self.folder = folder
+        self.manifest = manifest
+        self.calibration = Calibration(**read_json(folder / "calibration.json"))
+
+
+def freeze_ensemble(
+    members: list[Member],
+    inference: InferenceSettings,
+    calibration: Calibration,
+    golden_rgb: NDArray[np.uint8],
+    parent: str | pathlib.Path,
+    provenance: dict[str, str] | None = None,
+) -> pathlib.Path:
+    """Write the ensemble of ``members`` to a folder below ``parent`` that is named by its content.
+
+    Freezing the same members, settings and calibration twice gives the same folder.
+
+    Args:
+        members: at least one, all of one network.
+        inference: the resolution that ``calibration`` was measured at.
+        calibration: of exactly these members.
+        golden_rgb: (H, W, 3) uint8, an image whose answer is stored beside it.
+        parent: folder of artifacts.
+        provenance: digests of data and code, name -> digest.
+
+    Raises:
+        SettingsError: no members, or members of different networks, or a calibration of another M.
+    """
+    if not members or any(member.network_settings != members[0].network_settings for member in members):
+        raise SettingsError("an ensemble is frozen from at least one member, all of the same network settings")
+    if calibration.n_members != len(members):
+        raise SettingsError(
+            f"the calibration is of {calibration.n_members} members, but {len(members)} are to be frozen"
+        )
+    ensemble = Ensemble([member.network() for member in members], inference)
+    parent = pathlib.Path(parent)
+    staging = parent / ".freezing"
+    with atomic_folder(staging) as temporary:
+        names = [f"member-{index}.safetensors" for index in range(len(members))]
+        for member, name in zip(members, names, strict=True):
+            shutil.copyfile(member.weights, temporary / name)
+        write_json(temporary / "calibration.json", calibration)
+        with atomic_file(temporary / "golden.npz") as file:
+            np.savez(file, rgb=golden_rgb, p_occupied=ensemble.p_occupied(golden_rgb))
+        export_onnx(ensemble, temporary / "ensemble.onnx")
+        manifest = {
+            "format_version": FORMAT_VERSION,
+            "n_members": len(members),
+            "members": names,
+            "seeds": [member.seed for member in members],
+            "class": "p_occupied: probability that a pixel shows a hand or forearm (masks: 255 = hand)",
+            "preprocessing": "RGB uint8; scaled to the inference size (area or bilinear); ImageNet statistics "
+            "are applied inside the network",
+            "network": dataclasses.asdict(members[0].network_settings),
+            "inference": dataclasses.asdict(inference),
+            "provenance": {"data": members[0].record["data_digest"], **(provenance or {})},
+        }
+        with atomic_file(temporary / "model_card.md") as file:
+            file.write_text(model_card(manifest, calibration), encoding="utf-8")
+        manifest["files"] = {
+            path.name: sha256_of_file(path) for path in sorted(temporary.iterdir()) if path.is_file()
+        }
+        write_json(temporary / "manifest.json", manifest)
+        destination = parent / f"ensemble-{sha256_of_file(temporary / 'manifest.json')[:16]}"
+    if destination.exists():
+        shutil.rmtree(staging)
+        verify_artifact(destination)
+    else:
+        staging.replace(destination)
+    return destination
+
+
+def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
+    """Check that a frozen ensemble is complete and unaltered; returns its manifest.
+
+    Raises:
+        ArtifactError: names the file that is missing, altered, unexpected, or of an unknown format.
+    """
+    folder = pathlib.Path(folder)
+    if not folder.is_dir():
+        raise ArtifactError(folder, "is not a folder; give the folder of a frozen ensemble")
+    try:
+        manifest = read_json(folder / "manifest.json")
+    except DataError as error:
+        raise ArtifactError(error.path, error.reason) from None
+    version = manifest.get("format_version") if isinstance(manifest, dict) else None
+    if version != FORMAT_VERSION:
+        raise ArtifactError(
+            folder / "manifest.json", f"has format_version {version!r}, this version reads {FORMAT_VERSION}"
+        )
+    expected_name = f"ensemble-{sha256_of_file(folder / 'manifest.json')[:16]}"
+    if folder.resolve().name.startswith("ensemble-") and folder.resolve().name != expected_name:
+        raise ArtifactError(folder, f"was altered: its manifest belongs to {expected_name}")
+    for name, digest in manifest["files"].items():
+        file = folder / name
+        if pathlib.PurePath(name).name != name:
+            raise ArtifactError(folder / "manifest.json", f"names a file outside of the folder: {name!r}")
+        if not file.is_file():
+            raise ArtifactError(file, "is missing; pull the artifact again")
+        if sha256_of_file(file) != digest:
+            raise ArtifactError(file, "was altered (its SHA-256 differs); pull the artifact again")
+    needed = {*manifest["members"], "calibration.json", "golden.npz"}
+    if unlisted := needed - set(manifest["files"]):
+        raise ArtifactError(folder / "manifest.json", f"lists no digest for {sorted(unlisted)}")
+    return dict(manifest)
+
+
+def load_ensemble(folder: str | pathlib.Path, device: str = "cpu") -> FrozenEnsemble:
+    """Load a frozen ensemble after verifying every file of it.
+
+    >>> p_occupied = load_ensemble("ensemble-0123456789abcdef").p_occupied(rgb)  # doctest: +SKIP
+
+    Raises:
+        ArtifactError: see `verify_artifact`.
+    """
+    folder = pathlib.Path(folder)
+    return FrozenEnsemble(folder, verify_artifact(folder), device)
+
+
+def golden_difference(ensemble: FrozenEnsemble) -> float:
+    """Largest difference in p_occupied between the stored answer to the golden image and the one given now.
+
+    Raises:
+        ArtifactError: it exceeds the tolerance: this machine does not reproduce the ensemble.
+    """
+    file = ensemble.folder / "golden.npz"
+    with np.load(file, allow_pickle=False) as golden:
+        difference = float(np.abs(ensemble.p_occupied(golden["rgb"]) - golden["p_occupied"]).max())
+    if not difference <= GOLDEN_TOLERANCE:
+        raise ArtifactError(
+            file, f"is answered with a difference of {difference:.2g} in probability (<= {GOLDEN_TOLERANCE})"
+        )
+    return difference

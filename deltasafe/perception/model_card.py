@@ -1,0 +1,58 @@
+"""The model card of a frozen ensemble: Markdown made from its manifest and calibration, nothing else."""
+
+from typing import Any
+
+from deltasafe.perception.calibration import Calibration
+
+__all__ = ["model_card"]
+
+
+def model_card(manifest: dict[str, Any], calibration: Calibration) -> str:
+    """Markdown text; the same input gives the same text."""
+    network, inference = manifest["network"], manifest["inference"]
+    supported = calibration.smallest_supported_delta
+    delta = (
+        f"The smallest delta that these images support is **{supported:g}** (at {calibration.level:.0%} confidence); "
+        "planning with a smaller one is refused."
+        if supported is not None
+        else "These images support **no** delta: do not plan with this ensemble."
+    )
+    return f"""# Hand occupancy ensemble
+
+{manifest["n_members"]} independently trained `{network["architecture"]}` networks on `{network["backbone"]}`
+(seeds {", ".join(str(seed) for seed in manifest["seeds"])}); their mean is the probability that a pixel shows a hand
+or forearm. Images are looked at with about {inference["width"]} x {inference["height"]} pixels.
+
+## How it was judged
+
+On {calibration.n_images} labelled test images that no training has seen, on all pixels, at label resolution:
+
+| pixel accuracy | mIoU | NLL (nats) | Brier score | ECE |
+|---|---|---|---|---|
+| {calibration.pixel_accuracy:.4f} | {calibration.miou:.4f} | {calibration.nll:.4f} | {calibration.brier:.4f} \
+| {calibration.expected_calibration_error:.4f} |
+
+{delta}
+
+## Intended use
+
+Occupancy for motion planning around one hand seen from above, held still, filling roughly 5 to 50 % of the
+picture. The guarantee it can take part in is pointwise (each point, each time); it bounds neither the
+probability that a whole motion collides nor anything about a hand that moves.
+
+## Limits
+
+Trained on 50 rendered images and their augmentations. Expect failures on what no training image shows: small
+hands far away, several hands, faces and other bare skin, gloves, strong motion blur.
+
+## How to use it
+
+```python
+import deltasafe
+ensemble = deltasafe.load_ensemble("FOLDER")      # verifies every file first
+p_occupied = ensemble.p_occupied(rgb)             # uint8 (H, W, 3) -> float32 (H, W)
+```
+
+or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, {inference["height"]}, {inference["width"]}, 3); outputs
+`p_occupied` (B, h, w) and `member_p_occupied` (B, M, h, w).
+"""

@@ -1,0 +1,51 @@
+"""The one door: everything that Dagster needs to know, built for a home."""
+
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+import dagster as dg
+
+import assets.checks
+import assets.motion
+import assets.perception
+from pipelines import jobs
+from pipelines.console import progress_console
+from pipelines.home import DATASETS, home
+from pipelines.io import FolderPointers
+from pipelines.resources import StoreResource, TrackerResource
+
+__all__ = ["build_defs"]
+
+# heavy libraries are imported once, in the server that the steps are forked from
+_PRELOADED = ["dagster", "numpy", "torch", "assets.perception", "assets.motion"]
+
+
+def build_defs(
+    root: pathlib.Path | None = None, overrides: Mapping[str, Any] | None = None, max_concurrent: int = 2
+) -> dg.Definitions:
+    """All definitions, with resources for the home ``root``.
+
+    Args:
+        root: `$DELTASAFE_HOME` unless given.
+        overrides: resources by key that replace the usual ones (tests pass a tracker in memory).
+        max_concurrent: steps that run side by side.
+    """
+    root = root or home()
+    resources: dict[str, Any] = {
+        "io_manager": FolderPointers(home=str(root)),
+        "store": StoreResource(home=str(root), datasets=str(DATASETS)),
+        "tracker": TrackerResource(home=str(root)),
+    }
+    executor = dg.multiprocess_executor.configured(
+        {"max_concurrent": max_concurrent, "start_method": {"forkserver": {"preload_modules": _PRELOADED}}}
+    )
+    return dg.Definitions(
+        assets=dg.load_assets_from_modules([assets.perception, assets.motion]),
+        asset_checks=dg.load_asset_checks_from_modules([assets.checks]),
+        jobs=[jobs.everything, jobs.perception, jobs.planning],
+        schedules=[jobs.retraining],
+        resources={**resources, **(overrides or {})},
+        executor=executor,
+        loggers={"console": progress_console},
+    )

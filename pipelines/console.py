@@ -1,0 +1,45 @@
+"""What a person sees in the terminal: who speaks, what they say, which step failed; not every event."""
+
+import logging
+import sys
+
+import dagster as dg
+from dagster import DagsterEventType
+
+__all__ = ["progress_console"]
+
+_SHOWN = {
+    DagsterEventType.STEP_START: "started",
+    DagsterEventType.STEP_SUCCESS: "done",
+    DagsterEventType.STEP_FAILURE: "FAILED",
+    DagsterEventType.STEP_SKIPPED: "skipped",
+}
+
+
+class _Progress(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        meta = getattr(record, "dagster_meta", None) or {}
+        event, step = meta.get("dagster_event"), meta.get("step_key") or ""
+        if event is None:
+            text = str(meta.get("orig_message", record.getMessage()))
+        elif (kind := event.event_type) in _SHOWN:
+            step, text = event.step_key or "", _SHOWN[kind]
+            if kind == DagsterEventType.STEP_FAILURE and event.step_failure_data.error:
+                error = event.step_failure_data.error
+                text += f": {(error.cause or error).message.strip()}"
+        elif kind == DagsterEventType.ASSET_CHECK_EVALUATION:
+            evaluation = event.asset_check_evaluation_data
+            text = f"check {evaluation.check_name}: {'passed' if evaluation.passed else 'NOT PASSED'}"
+        else:
+            return
+        at = self.formatter.formatTime(record, "%H:%M:%S") if self.formatter else ""
+        print(f"{at}  {step:<20} {text}", file=sys.stderr, flush=True)
+
+
+@dg.logger(description="One line for each thing that a person would want to know.")
+def progress_console(context: dg.InitLoggerContext) -> logging.Logger:
+    logger = logging.Logger("deltasafe", level=logging.INFO)
+    handler = _Progress()
+    handler.setFormatter(logging.Formatter())
+    logger.addHandler(handler)
+    return logger

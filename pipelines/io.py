@@ -1,0 +1,62 @@
+"""Where the values of assets are: a pointer file an asset (and partition) to the folder that it wrote."""
+
+import pathlib
+from typing import Any
+
+import dagster as dg
+
+from deltasafe.errors import DataError
+from deltasafe.storage import read_json, write_json
+
+__all__ = ["FolderPointers"]
+
+
+class FolderPointers(dg.ConfigurableIOManager):
+    """Assets write folders themselves, whole or not at all, and return the path; this remembers it.
+
+    A pointer is replaced only after its folder is complete, so a reader sees the old version or the new one.
+    A partitioned asset returns `dict[partition, path]` and is read in the same form.
+    """
+
+    home: str
+
+    def handle_output(self, context: dg.OutputContext, obj: Any) -> None:
+        if obj is None:
+            return
+        by_partition = obj if isinstance(obj, dict) else {None: obj}
+        for partition, folder in by_partition.items():
+            write_json(
+                self._pointer(context.asset_key, partition),
+                {"folder": self._relative(pathlib.Path(folder)), "run_id": context.run_id},
+            )
+
+    def load_input(self, context: dg.InputContext) -> Any:
+        if not context.has_asset_partitions:
+            return self.folder(context.asset_key)
+        return {key: self.folder(context.asset_key, key) for key in sorted(context.asset_partition_keys)}
+
+    def folder(self, asset_key: dg.AssetKey, partition: str | None = None) -> pathlib.Path:
+        """The folder that was last made.
+
+        Raises:
+            DataError: there is none, or it was removed.
+        """
+        name = asset_key.to_user_string() + (f" [{partition}]" if partition else "")
+        pointer = self._pointer(asset_key, partition)
+        if not pointer.is_file():
+            raise DataError(pointer, f"is missing: materialise {name} first")
+        folder = pathlib.Path(self.home) / read_json(pointer)["folder"]
+        if not folder.exists():
+            raise DataError(folder, f"was removed: materialise {name} again")
+        return folder
+
+    def _pointer(self, asset_key: dg.AssetKey, partition: str | None) -> pathlib.Path:
+        base = pathlib.Path(self.home, "pointers", *asset_key.path)
+        return base / f"{partition}.json" if partition else base.with_suffix(".json")
+
+    def _relative(self, folder: pathlib.Path) -> str:
+        """Relative to the home where it lies below it, so that a home can be moved."""
+        try:
+            return folder.resolve().relative_to(pathlib.Path(self.home).resolve()).as_posix()
+        except ValueError:
+            return folder.resolve().as_posix()

@@ -1,0 +1,46 @@
+"""`make ui`: the Dagster UI, its daemon and the MLflow UI on the storage of the home; loopback only."""
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+
+from pipelines.home import PROJECT, prepare_home, tracking_uri
+
+__all__ = ["main"]
+
+
+def main() -> int:
+    """Run until interrupted."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.ui", description=__doc__)
+    parser.add_argument("--port", type=int, default=3000, help="of the Dagster UI (default 3000)")
+    parser.add_argument("--mlflow-port", type=int, default=5000, help="of the MLflow UI (default 5000)")
+    options = parser.parse_args()
+    root = prepare_home()
+    (root / "mlflow").mkdir(exist_ok=True)
+    dagster = [sys.executable, "-m", "dagster", "dev", "-w", str(PROJECT / "workspace.yaml")]
+    mlflow = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", tracking_uri(root)]
+    commands = [
+        [*dagster, "-h", "127.0.0.1", "-p", str(options.port)],
+        [*mlflow, "--host", "127.0.0.1", "--port", str(options.mlflow_port)],
+    ]
+    print(f"Dagster: http://127.0.0.1:{options.port}")
+    print(f"MLflow:  http://127.0.0.1:{options.mlflow_port}/#/experiments?workflowType=machine_learning", flush=True)
+    running = [subprocess.Popen(command, cwd=PROJECT, start_new_session=True) for command in commands]
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    try:
+        running[0].wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        for process in running:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGTERM)
+        for process in running:
+            process.wait(timeout=30)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
