@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
@@ -49,8 +50,9 @@ def overlay_figure(overlays: Sequence[Overlay], delta: float = 0.05) -> Figure:
     if not overlays:
         raise SettingsError("an overlay needs at least one image")
     height, width = np.shape(overlays[0].label)
+    layout = ConstrainedLayoutEngine(h_pad=0.06, rect=(0, 0, 1, 0.99))
     row_height = 3.55 * height / width + 0.28
-    figure = Figure(figsize=(11, row_height * len(overlays) + 0.75), layout="constrained")
+    figure = Figure(figsize=(11, row_height * len(overlays) + 0.85), layout=layout)
     grid = figure.subplots(len(overlays), 3, squeeze=False)
     for axes, overlay in zip(grid, overlays, strict=True):
         picture = _draw_row(axes, overlay, delta)
@@ -86,7 +88,8 @@ def _draw_row(axes: Sequence[Axes], overlay: Overlay, delta: float):  # type: ig
     axes[2].set_title(missed + alarms, fontsize=10, loc="left")
     for panel in axes:
         panel.set_axis_off()
-        if occupied.any() and not occupied.all():
+    if occupied.any() and not occupied.all():
+        for panel in axes[:2]:
             panel.contour(occupied, levels=[0.5], colors=[_LABEL], linewidths=0.8)
     return picture
 
@@ -95,7 +98,7 @@ def _errors(
     image: NDArray[np.uint8], occupied: NDArray[np.bool_], p_occupied: NDArray[np.float64], delta: float
 ) -> NDArray[np.float64]:
     grey = image @ np.array([0.299, 0.587, 0.114]) / 255
-    canvas = np.repeat((0.55 * grey + 0.1)[:, :, None], 3, axis=2)
+    canvas = np.repeat((0.45 * grey + 0.08 + 0.22 * occupied)[:, :, None], 3, axis=2)
     predicted = p_occupied >= 0.5
     canvas[occupied & ~predicted] = to_rgb(_MISS)
     canvas[occupied & (p_occupied <= delta)] = to_rgb(_CONFIDENT_MISS)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from deltasafe.perception.calibration_report import CalibrationReport
 from deltasafe.perception.paper_results import ENSEMBLE_SIZE_RESULTS
@@ -18,7 +18,7 @@ _GREY = "#9a9a9a"
 _BLUE = "#0072B2"
 _RED = "#C8102E"
 _SIZE_COLOURS = {2: _RED, 5: "#009E73", 10: _BLUE}
-_SMALLEST_P = 3e-5
+_SMALLEST_P = 1e-5
 
 
 def reliability_figure(report: CalibrationReport) -> Figure:
@@ -102,7 +102,7 @@ def _draw_safety(axes: Axes, report: CalibrationReport) -> None:
     stated = np.array([np.nan if value is None else max(value, _SMALLEST_P) for value in curve.stated])
     observed = np.array([np.nan if value is None else value for value in curve.observed])
     positive = observed[observed > 0]
-    floor = 10.0 ** np.floor(np.log10(max(positive.min(), 1e-6))) / 2 if len(positive) else 1e-6
+    floor = 10.0 ** np.floor(np.log10(max(positive.min() / 2, 1e-6))) if len(positive) else 1e-6
     span = np.array([_SMALLEST_P, 1.0])
     axes.fill_between(span, span, 1.0, color=_RED, alpha=0.06, lw=0)
     axes.plot(span, span, "k--", lw=1, label="Ideal")
@@ -120,11 +120,17 @@ def _draw_safety(axes: Axes, report: CalibrationReport) -> None:
         high = np.array([np.nan if value is None else max(value, floor) for value in curve.high])
         axes.fill_between(stated, low, high, color=_BLUE, alpha=0.18, lw=0)
     shown = np.where(observed > 0, observed, np.nan)
-    axes.plot(stated, shown, "o-", color=_BLUE, ms=4, lw=1.6, label="Pixels of one bin")
+    axes.plot(stated, shown, "o-", color=_BLUE, ms=4, lw=1.6, label="Pixels of one bin", clip_on=False)
     if (observed == 0).any():
         never = observed == 0
         axes.plot(
-            stated[never], np.full(never.sum(), floor), "v", color=_BLUE, mfc="white", label="Never occupied"
+            stated[never],
+            np.full(never.sum(), floor),
+            "v",
+            color=_BLUE,
+            mfc="white",
+            label="Never occupied",
+            clip_on=False,
         )
     deltas = np.array([row.delta for row in report.support])
     bounds = np.array([row.upper_bound for row in report.support])
@@ -140,13 +146,14 @@ def _draw_safety(axes: Axes, report: CalibrationReport) -> None:
         axes.axvline(supported, color="#E69F00", lw=1, ls=":")
         axes.annotate(
             f"$\\delta \\geq {supported:g}$\nsupported",
-            (supported, floor),
-            xytext=(5, 6),
+            (supported, 1.0),
+            xytext=(5, -6),
             textcoords="offset points",
+            va="top",
             fontsize=9,
             color="#8a5f00",
         )
-    axes.set(xscale="log", yscale="log", xlim=(_SMALLEST_P, 1), ylim=(floor / 1.5, 1))
+    axes.set(xscale="log", yscale="log", xlim=(_SMALLEST_P, 1), ylim=(floor, 1))
     axes.set(ylabel="Share of occupied pixels", title="How often is a pixel occupied that counts as free?")
     axes.legend(frameon=False, fontsize=9, loc="lower right")
     _clean(axes)
@@ -160,7 +167,7 @@ def _draw_counts(axes: Axes, edges: np.ndarray, count: Sequence[int], label: str
     positive = share[share > 0]
     axes.set(yscale="log", xlabel=label, ylabel="Pixels")
     axes.set_ylim(10.0 ** np.floor(np.log10(positive.min())) / 2, 2)
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g}%"))
     axes.tick_params(axis="y", labelsize=8)
     _clean(axes)
 

@@ -28,6 +28,7 @@ from deltasafe.perception.metrics import (
     score_image,
 )
 from deltasafe.perception.recalibration import (
+    LogitCounts,
     apply_temperature,
     cross_fitted_temperatures,
     fit_temperature,
@@ -77,6 +78,7 @@ def calibrate(
         raise SettingsError("image_ids must be unique")
     if 1 < n_images < settings.n_folds:
         raise SettingsError(f"n_folds is {settings.n_folds}, but there are {n_images} images")
+    passes = 2 if n_images > 1 else 1
     members: list[_Tally] = []
     ensembles: list[_Tally] = []
     safety, logits = [], []
@@ -92,7 +94,7 @@ def calibrate(
             ensembles[m].add(p_mean, label)
         safety.append(safety_counts(p_mean, label))
         logits.append(logit_counts(p_mean, label))
-        progress(index + 1, n_images, f"judged {image_id}")
+        progress(index + 1, passes * n_images, f"judged {image_id}")
 
     weights = bootstrap_weights(n_images, settings.n_bootstrap, settings.seed)
     low, high = _interval(ensembles[-1].scores, weights, settings.level)
@@ -100,9 +102,7 @@ def calibrate(
     member_results = tuple(member.result() for member in members)
     recalibration = None
     if n_images > 1:
-        stacked = stack_logit_counts(logits)
-        unseen = cross_fitted_temperatures(stacked, settings.n_folds or None)
-        recalibration = _recalibrated(labels, predictions, fit_temperature(stacked), unseen, settings)
+        recalibration = _recalibrated(labels, predictions, stack_logit_counts(logits), settings, progress)
     return CalibrationReport(
         settings=settings,
         image_ids=tuple(image_ids),
@@ -145,6 +145,7 @@ def _checked(
                 f"predictions must have shape (M, H, W), M the same in all images, got {np.shape(stack)}"
             )
         require_p_occupied(stack[0], occupied.shape)
+        require_p_occupied(stack)
     except SettingsError as error:
         raise SettingsError(f"{image_id}: {error}") from error
     return occupied, stack
@@ -153,19 +154,23 @@ def _checked(
 def _recalibrated(
     labels: Sequence[NDArray[np.generic]],
     predictions: Sequence[NDArray[np.floating]],
-    temperature: float,
-    unseen: NDArray[np.float64],
+    counts: LogitCounts,
     settings: CalibrationSettings,
+    progress: Progress,
 ) -> RecalibrationResult:
+    unseen = cross_fitted_temperatures(counts, settings.n_folds or None)
+    n_images = len(unseen)
     tally, safety = _Tally(), []
-    for label, stack, t in zip(labels, predictions, unseen, strict=True):
-        occupied = require_label(label)
-        p_occupied = apply_temperature(np.mean(stack, axis=0, dtype=np.float64), float(t))
+    for index, temperature in enumerate(unseen.tolist()):
+        occupied = require_label(labels[index])
+        p_mean = np.asarray(predictions[index], dtype=np.float64).mean(axis=0)
+        p_occupied = apply_temperature(p_mean, temperature)
         tally.add(p_occupied, occupied)
         safety.append(safety_counts(p_occupied, occupied))
+        progress(n_images + index + 1, 2 * n_images, f"recalibrated image {index + 1} of {n_images}")
     result = tally.result()
     return RecalibrationResult(
-        temperature=temperature,
+        temperature=fit_temperature(counts),
         lowest=float(unseen.min()),
         highest=float(unseen.max()),
         scores=result.scores,

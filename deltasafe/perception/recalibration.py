@@ -89,7 +89,7 @@ def fit_temperature(counts: LogitCounts) -> float:
 
     def slope(inverse: float) -> float:
         margin = sign * logit
-        return float(-(weight * margin) @ (0.5 * (1.0 - np.tanh(0.5 * inverse * margin))))
+        return float(-(weight * margin) @ (1.0 / (1.0 + np.exp(inverse * margin))))
 
     low, high = 1.0 / _TEMPERATURE_LIMITS[1], 1.0 / _TEMPERATURE_LIMITS[0]
     for _ in range(60):

@@ -1,0 +1,169 @@
+"""The report as a folder: what is written is what is read, and the gate before the freeze."""
+
+import base64
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from calibration_cases import synthetic_ensemble
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.perception.calibration_report import (
+    CalibrationReport,
+    CalibrationSettings,
+    GateThresholds,
+    gate,
+)
+from deltasafe.perception.calibration_writing import inline_pictures, write_calibration_report
+from deltasafe.perception.evaluation import calibrate
+
+NAMES, LABELS, PREDICTIONS = synthetic_ensemble()
+
+
+@pytest.fixture(scope="module")
+def report():
+    return calibrate(NAMES, LABELS, PREDICTIONS, CalibrationSettings(n_bootstrap=300))
+
+
+def photograph(name):
+    shape = LABELS[NAMES.index(name)].shape
+    return np.random.default_rng(1).integers(0, 255, size=(*shape, 3), dtype=np.uint8)
+
+
+@pytest.fixture(scope="module")
+def folder(report, tmp_path_factory):
+    destination = tmp_path_factory.mktemp("calibration") / "report"
+    path = write_calibration_report(
+        destination, report, labels=LABELS, predictions=PREDICTIONS, load_image=photograph, n_examples=2
+    )
+    assert path == destination / "report.md"
+    return destination
+
+
+def test_what_is_written_is_what_is_loaded(report, folder):
+    assert CalibrationReport.load(folder) == report
+
+
+def test_every_picture_is_linked_and_every_link_is_a_picture(folder):
+    text = (folder / "report.md").read_text("utf-8")
+    linked = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)
+    assert sorted([*linked, "report.json", "report.md"]) == sorted(path.name for path in folder.iterdir())
+    signatures = {".png": b"\x89PNG", ".jpg": b"\xff\xd8\xff"}
+    for name in linked:
+        assert (folder / name).read_bytes().startswith(signatures[(folder / name).suffix])
+
+
+def test_the_text_states_what_a_reader_must_know(report, folder):
+    text = (folder / "report.md").read_text("utf-8")
+    scores = report.ensembles[-1].scores
+    worst, best = (report.image_ids[report.worst_first[i]] for i in (0, -1))
+    stated = (
+        f"**{scores.miou:.4f}**",
+        f"**{scores.nll:.4f}**",
+        f"T = {report.recalibration.temperature:.3f}",
+        f"support is {report.smallest_supported_delta:g}",
+        f"`{worst}`",
+        f"`{best}`",
+        "n = 3",
+        "0.0234",
+        "0.114",
+        "1e-7",
+        "nor of a whole motion",
+    )
+    assert [part for part in stated if part not in text] == []
+    for table in re.findall(r"(?:^\|.*\n)+", text, flags=re.M):
+        assert len({line.count("|") for line in table.splitlines()}) == 1
+
+
+def test_without_photographs_there_are_no_overlays_and_no_dead_links(report, tmp_path):
+    write_calibration_report(tmp_path / "r", report, labels=LABELS, predictions=PREDICTIONS)
+    assert not list((tmp_path / "r").glob("*.jpg"))
+    assert ".jpg" not in (tmp_path / "r" / "report.md").read_text("utf-8")
+
+
+def test_inlined_pictures_are_the_pictures(folder):
+    text = inline_pictures(folder / "report.md")
+    data = re.findall(r"\(data:image/(?:png|jpeg);base64,([^)]+)\)", text)
+    assert {base64.b64decode(item) for item in data} == {
+        path.read_bytes() for path in folder.iterdir() if path.suffix in (".png", ".jpg")
+    }
+    assert len(text.encode()) <= 1_000_000
+
+
+def test_a_small_limit_leaves_pictures_out_and_says_so(folder):
+    text = inline_pictures(folder / "report.md", limit_bytes=20_000)
+    assert "base64" not in text
+    assert "see `reliability.png` in the report's folder" in text
+    with pytest.raises(DataError, match="missing"):
+        inline_pictures(folder / "other.md")
+
+
+def test_a_failure_leaves_the_old_report_in_place(report, folder):
+    def broken(name):
+        raise OSError("no such photograph")
+
+    before = sorted(folder.iterdir())
+    with pytest.raises(OSError, match="no such photograph"):
+        write_calibration_report(folder, report, labels=LABELS, predictions=PREDICTIONS, load_image=broken)
+    assert sorted(folder.iterdir()) == before
+    assert CalibrationReport.load(folder) == report
+    with pytest.raises(SettingsError, match="6 images, got 5 labels"):
+        write_calibration_report(folder, report, labels=LABELS[:5], predictions=PREDICTIONS)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ('"format_version": 1', '"format_version": 99', "format version 99"),
+        ('"n_bootstrap": 300', '"n_bootstrap": "300"', "expected int"),
+        ('"n_bootstrap": 300', '"surplus": 300', "surplus"),
+        ('"image_ids"', '"names"', "names"),
+        ("{", "[", "JSON"),
+    ],
+)
+def test_damaged_reports_are_refused(folder, tmp_path, old, new, match):
+    with pytest.raises(DataError, match="missing"):
+        CalibrationReport.load(tmp_path)
+    text = (folder / "report.json").read_text()
+    assert old in text
+    (tmp_path / "report.json").write_text(text.replace(old, new, 1))
+    with pytest.raises(DataError, match=match):
+        CalibrationReport.load(tmp_path)
+
+
+def test_the_gate_opens_at_the_thresholds_and_closes_above(report):
+    scores = report.ensembles[-1].scores
+    delta = report.smallest_supported_delta
+    worst = max(image.missed_hand_rate for image in report.images)
+    exact = GateThresholds(scores.pixel_accuracy, scores.miou, delta, worst)
+    assert gate(report, exact) == []
+    for name, value, word in (
+        ("pixel_accuracy", scores.pixel_accuracy + 1e-6, "pixel accuracy"),
+        ("miou", scores.miou + 1e-6, "mIoU"),
+        ("planning_delta", delta * 0.99, "smallest supported delta"),
+        ("missed_hand_rate", worst - 1e-9, "is missed"),
+    ):
+        failures = gate(report, dataclasses.replace(exact, **{name: value}))
+        assert len(failures) == 1
+        assert word in failures[0]
+
+
+def test_the_gate_is_closed_when_no_delta_is_supported(report):
+    unsupported = tuple(dataclasses.replace(row, supported=False) for row in report.support)
+    failures = gate(dataclasses.replace(report, support=unsupported), GateThresholds(0.0, 0.0))
+    assert failures == ["the images support no delta, planning needs 0.05"]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"n_bootstrap": 10}, {"level": 1.0}, {"level": 0.5}, {"n_folds": 1}, {"n_folds": -1}],
+)
+def test_settings_outside_their_domain_are_refused(settings):
+    with pytest.raises(SettingsError, match=next(iter(settings))):
+        CalibrationSettings(**settings)
+
+
+def test_thresholds_outside_their_domain_are_refused():
+    with pytest.raises(SettingsError, match="miou"):
+        GateThresholds(miou=80.0)
