@@ -1,4 +1,4 @@
-"""Originals beside what the augmentation made of them, with the outline of every mask: what a person should look at."""
+"""Originals beside what the augmentation made of them, every mask outlined: for a person to judge."""
 
 import pathlib
 from typing import Any
@@ -52,7 +52,9 @@ def contact_sheet(
     """
     destination = pathlib.Path(destination)
     if augmented.source_digest != hands.digest:
-        raise DataError(augmented.folder, f"was not made from the set {hands.name!r}; write the augmented set again")
+        raise DataError(
+            augmented.folder, f"was not made from the set {hands.name!r}; write the augmented set again"
+        )
     rows = np.unique(np.linspace(0, len(hands) - 1, min(n_originals, len(hands))).round().astype(int))
     columns = min(n_variants, augmented.settings.n_variants)
     aspect = augmented.settings.height / augmented.settings.width
@@ -67,7 +69,10 @@ def contact_sheet(
         figure.text(gap_in / width_in, 1 - 0.5 * head_in / height_in, title, fontsize=7, va="center")
         axes = np.empty((len(rows), columns + 1), dtype=object)
         for r, c in np.ndindex(axes.shape):
-            left, bottom = gap_in + c * (cell_in + gap_in), height_in - head_in - r * (row_in + gap_in) - row_in
+            left, bottom = (
+                gap_in + c * (cell_in + gap_in),
+                height_in - head_in - r * (row_in + gap_in) - row_in,
+            )
             box = (left / width_in, bottom / height_in, cell_in / width_in, cell_in * aspect / height_in)
             axes[r, c] = figure.add_axes(box)
         for row, original in zip(axes, rows, strict=True):

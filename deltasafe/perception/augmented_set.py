@@ -122,7 +122,8 @@ def write_augmented_set(
     workers: int = 2,
     progress: Progress = silent,
 ) -> AugmentedSet:
-    """Make ``settings.n_variants`` new images of each original and store them as one folder, whole or not at all.
+    """Make ``settings.n_variants`` new images of each original and store them as one folder, whole or not at
+    all.
 
     Args:
         hands: the originals.

@@ -42,12 +42,14 @@ class HandSet:
 
     @classmethod
     def load(cls, folder: str | pathlib.Path, registry: str | pathlib.Path | None = None) -> "HandSet":
-        """Read and check the set in ``folder``, which holds ``images/`` and ``masks/`` with files of equal stems.
+        """Read and check the set in ``folder``, which holds ``images/`` and ``masks/`` with files of equal
+        stems.
 
         Args:
             folder: the set. Images are RGB with 8 bits a channel (JPEG or PNG, of any size); masks are of one
                 channel and of the size of their image, 255 where there is hand and 0 elsewhere.
-            registry: a file of SHA-256 sums (as by ``sha256sum``, paths relative to the registry's folder) against
+            registry: a file of SHA-256 sums (as by ``sha256sum``, paths relative to the registry's folder)
+                against
                 which every file of the set is compared.
 
         Raises:
@@ -95,8 +97,8 @@ def check_disjoint(train: HandSet, test: HandSet) -> None:
         if digest in known:
             raise DataError(
                 item.image,
-                f"has the same pixels as {known[digest].image} of the training set; remove it from one of the two, "
-                "or every figure measured on the test set is too good",
+                f"has the same pixels as {known[digest].image} of the training set; "
+                "remove it from one of the two, or every figure measured on the test set is too good",
             )
 
 

@@ -5,7 +5,7 @@
 
 from deltasafe.perception.augmentation.background import Backgrounds, draw_background
 from deltasafe.perception.augmentation.cutout import Arm, CutOut
-from deltasafe.perception.augmentation.scheme import Augmented, augment, cut_out, image_seed
+from deltasafe.perception.augmentation.scheme import Augmented, augment, chosen_methods, cut_out, image_seed
 from deltasafe.perception.augmentation.settings import METHOD_NAMES, AugmentationSettings
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "Backgrounds",
     "CutOut",
     "augment",
+    "chosen_methods",
     "cut_out",
     "draw_background",
     "image_seed",

@@ -59,7 +59,8 @@ def draw_background(
 ) -> tuple[np.ndarray, dict[str, object]]:
     """A new background ``(H, W, 3)`` float32 in [0, 1] and what it is made of.
 
-    40 % are photographs (if there are any), 60 % procedural surfaces; a fifth joins two of them at a table's edge,
+    40 % are photographs (if there are any), 60 % procedural surfaces; a fifth joins two of them at a table's
+    edge,
     half carry one to four things that lie about.
     """
     picture, source = _one(rng, backgrounds, width, height)

@@ -19,7 +19,7 @@ def add_clutter(rng: np.random.Generator, picture: np.ndarray, n_objects: int) -
         kind = ("sheet", "box", "bar", "ball")[int(rng.integers(4))]
         if rng.random() < SKIN_SHARE:
             kind = "skin_coloured"
-        cover = np.zeros((height, width), np.float32)
+        cover: np.ndarray = np.zeros((height, width), np.float32)
         at = rng.uniform(-0.05, 1.05, 2) * (width, height)
         long = rng.uniform(0.12, 0.5) * width
         slim = {"sheet": rng.uniform(0.5, 0.9), "box": rng.uniform(0.3, 1.0), "bar": rng.uniform(0.04, 0.2)}
@@ -45,8 +45,9 @@ def add_clutter(rng: np.random.Generator, picture: np.ndarray, n_objects: int) -
 
 
 def _shade(rng: np.random.Generator, picture: np.ndarray, cover: np.ndarray, width: int) -> None:
-    shift = np.float32([[1, 0, rng.uniform(-0.04, 0.04) * width], [0, 1, rng.uniform(-0.04, 0.04) * width]])
-    shadow = cv2.warpAffine(cover, shift, cover.shape[::-1])
+    x, y = rng.uniform(-0.04, 0.04, 2) * width
+    shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
+    shadow = cv2.warpAffine(cover, shift, (cover.shape[1], cover.shape[0]))
     shadow = cv2.GaussianBlur(shadow, (0, 0), rng.uniform(0.003, 0.03) * width)
     picture *= 1 - rng.uniform(0.1, 0.6) * shadow[..., None]
 

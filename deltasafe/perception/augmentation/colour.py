@@ -34,7 +34,7 @@ def colour_hand(
 def colour_picture(
     rng: np.random.Generator, picture: np.ndarray
 ) -> tuple[np.ndarray, dict[str, float | int]]:
-    """Another camera for the whole picture ``(H, W, 3)`` float32: white balance, exposure, contrast, saturation, vignette."""
+    """Another camera for the whole picture ``(H, W, 3)`` float32, from white balance to vignette."""
     height, width = picture.shape[:2]
     warm, green = float(rng.normal(0, 0.13)), float(rng.normal(0, 0.05))
     stops, gamma = float(rng.uniform(-0.6, 0.6)), float(np.exp(rng.uniform(-0.3, 0.3)))

@@ -12,14 +12,16 @@ __all__ = ["Arm", "CutOut"]
 class Arm:
     """Where the arm leaves the image, so that it can be continued there.
 
-    Arm coordinates of a point are ``along`` (pixels beyond the crossing, negative inside the image) and ``across``.
+    Arm coordinates of a point are ``along`` (pixels beyond the crossing, negative inside the image) and
+    ``across``.
 
     Attributes:
         crossing: ``(2,)`` centre of the crossing with the border, x and y in pixels.
         direction: ``(2,)`` unit vector along the arm, out of the image.
         width: of the arm at the crossing, across its direction, in pixels.
         run: least and greatest ``across`` of the crossing, in pixels.
-        narrowing: how far the width has to shrink outside to become that of a wrist; 1 where it is a wrist or forearm.
+        narrowing: how far the width has to shrink outside to become that of a wrist; 1 where it is a wrist or
+            forearm.
     """
 
     crossing: np.ndarray
@@ -30,7 +32,7 @@ class Arm:
 
     @classmethod
     def of(cls, mask: np.ndarray) -> "Arm | None":
-        """The arm of a mask ``(H, W)``: its longest run along the border, or None where it touches no border."""
+        """The arm of a mask ``(H, W)``, at its longest run along the border; None where it touches none."""
         height, width = mask.shape
         ring = np.zeros_like(mask)
         ring[[0, -1], :] = mask[[0, -1], :]
@@ -72,14 +74,14 @@ class Arm:
         return along, y * self.direction[0] - x * self.direction[1]
 
     def profile(self, beyond: np.ndarray) -> np.ndarray:
-        """Width of the arm relative to the crossing, ``beyond`` pixels outside: down to a wrist, then slowly wider."""
+        """Width relative to the crossing, ``beyond`` pixels outside: down to a wrist, then slowly wider."""
         steps = np.clip(beyond / self.width, 0.0, 4.0)
         ease = np.clip(steps / 0.7, 0.0, 1.0)
         ease = ease * ease * (3.0 - 2.0 * ease)
         return (1.0 - (1.0 - self.narrowing) * ease) * (1.0 + 0.08 * np.clip(steps - 0.3, 0.0, 2.5))
 
     def continued(self, points: np.ndarray, width: int, height: int) -> np.ndarray:
-        """Send points ``(..., 2)`` outside the image, but on the arm's continuation, to the border where it is seen.
+        """Send points ``(..., 2)`` on the arm's continuation to the place at the border that they repeat.
 
         Points elsewhere outside are left outside, where nothing is.
         """
@@ -101,15 +103,17 @@ class Arm:
         seen &= ((base >= -0.5) & (base < size - 0.5)).all(-1)
         return np.where(seen[:, None], np.clip(base, 0, size - 1), np.float32(-10.0))
 
+
 @dataclasses.dataclass(frozen=True)
 class CutOut:
     """A hand without its surroundings.
 
     Attributes:
-        rgb: ``(H, W, 3)`` float32 in [0, 1]; outside the hand the colour of its nearest inner pixel, so that no rim of
-            the old background is left when the edge is blended.
+        rgb: ``(H, W, 3)`` float32 in [0, 1]; outside the hand the colour of its nearest inner pixel, so that
+            no rim of the old background is left when the edge is blended.
         alpha: ``(H, W)`` float32 in [0, 1], the hand's coverage of each pixel.
-        smooth: ``rgb`` without its finer relief, for where the arm goes on: one line of pixels drawn out is all streaks.
+        smooth: ``rgb`` without its finer relief, for where the arm goes on: one line of pixels drawn out is
+            all streaks.
         surroundings: ``(H, W, 3)`` float32, the image with the hand filled in from its surroundings.
         centre: ``(2,)`` middle of the hand's bounding box, x and y in pixels.
         arm: where the arm leaves the image, or None.
@@ -124,7 +128,7 @@ class CutOut:
 
     @classmethod
     def of(cls, rgb: np.ndarray, mask: np.ndarray, width: int, height: int) -> "CutOut":
-        """Cut out the hand of image ``(H, W, 3)`` uint8 by its mask ``(H, W)`` (1 = hand), for a canvas of given size.
+        """Cut out the hand of ``rgb`` (H, W, 3) uint8 by its ``mask`` (H, W), for a canvas of given size.
 
         A source larger than the canvas is first reduced by area to the smallest size that covers it.
         """
@@ -152,7 +156,7 @@ class CutOut:
 
 
 def _without_severed_parts(mask: np.ndarray) -> np.ndarray:
-    """The mask without smaller parts cut off by the border: a thumb whose root lies outside would float when moved."""
+    """The mask without smaller parts cut off by the border: a lone thumb would float when moved."""
     n_labels, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if n_labels <= 2:
         return mask
@@ -163,7 +167,7 @@ def _without_severed_parts(mask: np.ndarray) -> np.ndarray:
 
 
 def _filled(colour: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """``colour`` with each pixel outside ``known`` replaced by the nearest known one, softened away from the edge."""
+    """``colour`` with each pixel outside ``known`` replaced by its nearest known one, softened."""
     if not known.any():
         return colour
     _, labels = cv2.distanceTransformWithLabels(1 - known, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)

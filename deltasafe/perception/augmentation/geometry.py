@@ -1,7 +1,9 @@
 """The four geometric methods: each says where a point of the new picture comes from.
 
-A warp maps points of the new canvas to points of the old one. The warps of one image are chained and the hand is sampled
-once, as a cut-out: no border is reflected into ghost hands, and nothing is blurred by repeated interpolation. The background is
+A warp maps points of the new canvas to points of the old one. The warps of one image are chained and the hand
+is sampled
+once, as a cut-out: no border is reflected into ghost hands, and nothing is blurred by repeated interpolation.
+The background is
 put in afterwards and needs no warp, being drawn at random itself.
 """
 
@@ -69,7 +71,7 @@ def grid_distortion(rng: np.random.Generator, size: tuple[int, int], centre: np.
 
 
 def cropping(rng: np.random.Generator, size: tuple[int, int], centre: np.ndarray) -> Drawn:
-    """Another section of the scene: hand 0.45 to 1.4 times as large (log-uniform), its middle anywhere near the middle."""
+    """Another section of the scene: hand 0.45 to 1.4 times as large (log-uniform), near the middle."""
     scale = float(np.exp(rng.uniform(*np.log(SCALES))))
     moved = rng.uniform(0.25, 0.75, 2) * size
 

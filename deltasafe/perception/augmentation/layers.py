@@ -41,7 +41,7 @@ class Layers:
         if hand.arm is not None:
             along, _ = hand.arm.coordinates(points)
             smooth = cv2.remap(hand.smooth, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            rgb += (smooth - rgb) * np.clip(along / (0.2 * hand.arm.width), 0.0, 1.0)[..., None]
+            rgb = rgb + (smooth - rgb) * np.clip(along / (0.2 * hand.arm.width), 0.0, 1.0)[..., None]
         x, y = np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1])
         behind = cv2.remap(hand.surroundings, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         return cls(rgb, alpha, behind)
@@ -49,7 +49,7 @@ class Layers:
     def put_elsewhere(
         self, rng: np.random.Generator, hand: CutOut, points: np.ndarray, backgrounds: Backgrounds
     ) -> dict[str, object]:
-        """Replace all that is not hand, dress the arm, and let the hand cast its shadow; returns what was drawn."""
+        """Replace all that is not hand, dress the arm, cast its shadow; returns what was drawn."""
         height, width = self.alpha.shape
         self.background, drawn = draw_background(rng, backgrounds, width, height)
         sleeve, cover = np.zeros_like(self.rgb), np.zeros_like(self.alpha)

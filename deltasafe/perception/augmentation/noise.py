@@ -1,4 +1,4 @@
-"""Noise and random erase: what sensors, lenses, compression and things in between do to a finished picture."""
+"""Noise and random erase: what sensor, lens, compression and things in between do to a picture."""
 
 import os
 
@@ -17,7 +17,8 @@ NOISE_DEVIATION = (1.5, 12.0)
 
 
 def degrade(rng: np.random.Generator, picture: np.ndarray) -> tuple[np.ndarray, dict[str, float | int]]:
-    """Blur of lens or motion, noise in HSV, in sRGB and in patches, sharpening, and JPEG, on ``(H, W, 3)`` uint8.
+    """Blur of lens or motion, noise in HSV, in sRGB and in patches, sharpening, and JPEG, on ``(H, W, 3)``
+    uint8.
 
     The authors' noise has a deviation of 10 of 255 in HSV; here it is drawn from 1.5 to 12.
     """
@@ -50,7 +51,8 @@ def degrade(rng: np.random.Generator, picture: np.ndarray) -> tuple[np.ndarray, 
 def erase(
     rng: np.random.Generator, picture: np.ndarray, mask: np.ndarray
 ) -> tuple[np.ndarray, dict[str, object]]:
-    """Fill a box of 10 to 30 % of each side of the picture, about a point of the hand's bounding box, with noise.
+    """Fill a box of 10 to 30 % of each side of the picture, about a point of the hand's bounding box, with
+    noise.
 
     The mask is kept: a hand that is partly covered is still there. Without a hand the box lies anywhere.
     """
@@ -75,12 +77,12 @@ def _hsv_noise(rng: np.random.Generator, picture: np.ndarray, deviation: float) 
 
 
 def _patchy_noise(rng: np.random.Generator, picture: np.ndarray, deviation: float) -> np.ndarray:
-    """Noise of dim light after the camera's own smoothing: in patches of a few pixels, stronger where it is dark."""
+    """Noise of dim light after a camera's own smoothing: patches of a few pixels, stronger in the dark."""
     height, width = picture.shape[:2]
     coarse = rng.standard_normal((height // 2 + 1, width // 2 + 1, 3), dtype=np.float32)
     noise = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
-    noise *= deviation * (1.3 - 0.8 * picture.astype(np.float32) / 255.0)
-    return np.clip(picture + noise, 0, 255).astype(np.uint8)
+    strength = deviation * (1.3 - 0.8 * picture.astype(np.float32) / 255.0)
+    return np.clip(picture + strength * noise, 0, 255).astype(np.uint8)
 
 
 def _seeded(

@@ -1,4 +1,4 @@
-"""The scheme of the paper: the background always, then seven methods, each with probability one half, in fixed order."""
+"""The scheme of the paper: the background always, then seven methods with probability one half each."""
 
 import dataclasses
 import hashlib
@@ -15,7 +15,7 @@ from deltasafe.perception.augmentation.layers import Layers
 from deltasafe.perception.augmentation.noise import degrade, erase
 from deltasafe.perception.augmentation.settings import METHOD_NAMES, AugmentationSettings
 
-__all__ = ["Augmented", "augment", "cut_out", "image_seed"]
+__all__ = ["Augmented", "augment", "chosen_methods", "cut_out", "image_seed"]
 
 GEOMETRY = {
     "flip": geometry.flip,
@@ -32,7 +32,8 @@ class Augmented:
     Attributes:
         image: ``(H, W, 3)`` uint8, RGB.
         mask: ``(H, W)`` uint8, 1 = hand.
-        recipe: what was done: source, variant, seed, background, operations with parameters, digest of the pixels.
+        recipe: what was done: source, variant, seed, background, operations with parameters, digest of the
+            pixels.
     """
 
     image: np.ndarray
@@ -46,6 +47,16 @@ def image_seed(image_id: str, variant: int, seed: int) -> int:
     return int.from_bytes(hashlib.sha256(text).digest()[:8], "big")
 
 
+def chosen_methods(seed: int, settings: AugmentationSettings) -> tuple[str, ...]:
+    """Names of the methods applied to the image of that seed, in their order."""
+    draws = np.random.default_rng([seed, 0]).random(len(METHOD_NAMES))
+    return tuple(
+        name
+        for name, draw in zip(METHOD_NAMES, draws, strict=True)
+        if name not in settings.left_out and (name == "background" or draw < settings.probability)
+    )
+
+
 def cut_out(rgb: np.ndarray, mask: np.ndarray, settings: AugmentationSettings) -> CutOut:
     """The hand of an original, ready for :func:`augment`; it is the same for all variants."""
     factor = settings.supersampling
@@ -55,14 +66,12 @@ def cut_out(rgb: np.ndarray, mask: np.ndarray, settings: AugmentationSettings) -
 def augment(
     image_id: str, hand: CutOut, variant: int, backgrounds: Backgrounds, settings: AugmentationSettings
 ) -> Augmented:
-    """Make variant number ``variant`` of an original: alone, in any order, in any process, always the same bytes."""
+    """Make variant number ``variant`` of an original: alone, in any process, always the same bytes.
+
+    The chosen methods come in the order of ``METHOD_NAMES``; each draws from a stream of its own.
+    """
     seed = image_seed(image_id, variant, settings.seed)
-    chance = np.random.default_rng([seed, 0]).random(len(METHOD_NAMES))
-    chosen = {
-        name
-        for name, draw in zip(METHOD_NAMES, chance, strict=True)
-        if (draw < settings.probability or name == "background") and name not in settings.left_out
-    }
+    chosen = chosen_methods(seed, settings)
     rngs = {name: np.random.default_rng([seed, 1 + i]) for i, name in enumerate(METHOD_NAMES)}
     width, height = settings.width * settings.supersampling, settings.height * settings.supersampling
     done: dict[str, dict[str, Any]] = {}

@@ -27,10 +27,13 @@ class AugmentationSettings:
         width: columns of the stored images, in pixels.
         height: rows of the stored images, in pixels.
         probability: chance of each of the seven methods that follow the background, independently.
-        supersampling: geometry and composition happen at this multiple of the stored size, and are reduced by area.
-        left_out: names of methods that are never applied, for ablations; leaving one out changes nothing in the draws
+        supersampling: geometry and composition happen at this multiple of the stored size, and are reduced by
+            area.
+        left_out: names of methods that are never applied, for ablations; leaving one out changes nothing in
+            the draws
             of the others.
-        seed: of the whole set; each image's own seed is a hash of it, the original's id and the variant's number.
+        seed: of the whole set; each image's own seed is a hash of it, the original's id and the variant's
+            number.
     """
 
     n_variants: int = 20

@@ -30,7 +30,8 @@ def recolour(
     """Give the skin in ``rgb`` another mean colour, keeping its relief.
 
     Args:
-        rgb: ``(H, W, 3)`` float32 in [0, 1], of which only the pixels with ``alpha`` > 0.5 count for the mean.
+        rgb: ``(H, W, 3)`` float32 in [0, 1], of which only the pixels with ``alpha`` > 0.5 count for the
+            mean.
         alpha: ``(H, W)`` coverage of the hand.
         lab: ``(3,)`` the new mean in Lab.
         contrast: factor on deviations of lightness from the mean.
@@ -44,7 +45,7 @@ def recolour(
         return rgb
     values = cv2.cvtColor(np.ascontiguousarray(rgb, np.float32), cv2.COLOR_RGB2LAB)
     mean = values[skin].mean(axis=0)
-    # relief is roughly a factor in luminance: on dark skin the same light makes smaller steps, highlights excepted
+    # relief is roughly a factor in luminance: on dark skin the same light makes smaller steps
     relief = contrast * float(np.clip((lab[0] / max(float(mean[0]), 5.0)) ** 0.5, 0.5, 1.3))
     moved = lab + (values - mean) * np.array([relief, chroma, chroma], np.float32)
     moved[..., 0] = np.clip(moved[..., 0], 0.0, 100.0)

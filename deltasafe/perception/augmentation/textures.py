@@ -78,8 +78,8 @@ def _wood(rng: np.random.Generator, width: int, height: int) -> np.ndarray:
 
 def _speckled(rng: np.random.Generator, width: int, height: int) -> np.ndarray:
     size = rng.uniform(0.8, 4.5)
-    noise = cv2.GaussianBlur(rng.standard_normal((height, width)).astype(np.float32), (0, 0), size)
-    noise /= noise.std() + 1e-6
+    noise = cv2.GaussianBlur(rng.standard_normal((height, width), dtype=np.float32), (0, 0), size)
+    noise = noise / (noise.std() + 1e-6)
     colour, other = any_colour(rng), any_colour(rng)
     blend = (1 / (1 + np.exp(-rng.uniform(1, 5) * (noise + rng.uniform(-0.8, 0.8)))))[..., None]
     return colour * (1 - blend) + other * blend

@@ -1,4 +1,4 @@
-"""What people wear on arm and fingers: sleeves (which are not hand), straps and rings (which count as hand)."""
+"""What people wear on arm and fingers: sleeves (not hand), straps and rings (counted as hand)."""
 
 import cv2
 import numpy as np
@@ -27,7 +27,8 @@ def add_sleeve(
         alpha: ``(H, W)`` coverage of the hand.
 
     Returns:
-        Colour ``(H, W, 3)`` and coverage ``(H, W)`` of the sleeve (zero where there is none), coverage of what is left of
+        Colour ``(H, W, 3)`` and coverage ``(H, W)`` of the sleeve (zero where there is none), coverage of
+        what is left of
         the hand, and the drawn parameters.
     """
     height, width = alpha.shape
@@ -73,7 +74,7 @@ def add_sleeve(
 def add_strap(
     rng: np.random.Generator, arm: Arm, along: np.ndarray, across: np.ndarray, rgb: np.ndarray
 ) -> dict[str, float]:
-    """Now and then paint a watch or a bracelet around the arm into the hand's layer ``rgb``; the mask is unchanged."""
+    """Now and then paint a watch or a bracelet around the arm into ``rgb``; the mask is unchanged."""
     if rng.random() >= STRAP_SHARE:
         return {}
     wrist = arm.width * arm.narrowing
@@ -92,7 +93,7 @@ def add_strap(
 
 
 def add_rings(rng: np.random.Generator, rgb: np.ndarray, alpha: np.ndarray) -> int:
-    """Now and then paint one to three rings or nails across narrow parts of the hand's layer; the mask is unchanged."""
+    """Now and then paint one to three rings across narrow parts of the hand; the mask is unchanged."""
     if rng.random() >= RING_SHARE:
         return 0
     depth = cv2.distanceTransform((alpha > 0.5).astype(np.uint8), cv2.DIST_L2, 5)
