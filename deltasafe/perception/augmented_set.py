@@ -70,8 +70,7 @@ class AugmentedSet:
         n, shape = described["n"], (settings.height, settings.width)
         images = _mapped(folder / "images.npy", (n, *shape, 3))
         masks = _mapped(folder / "masks.npy", (n, *shape))
-        lines = (folder / "recipes.jsonl").read_text(encoding="utf-8").splitlines()
-        recipes = tuple(json.loads(line) for line in lines)
+        recipes = _read_recipes(folder / "recipes.jsonl")
         if len(recipes) != n:
             raise DataError(
                 folder / "recipes.jsonl", f"holds {len(recipes)} recipes for {n} images; write the set again"
@@ -225,6 +224,20 @@ def _variants(job: _Job, i: int) -> list[Augmented]:
         augment(hands.items[i].id, hand, variant, backgrounds, settings)
         for variant in range(settings.n_variants)
     ]
+
+
+def _read_recipes(path: pathlib.Path) -> tuple[dict[str, Any], ...]:
+    if not path.is_file():
+        raise DataError(path, "is missing; write the augmented set again")
+    recipes = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        try:
+            recipes.append(json.loads(line))
+        except json.JSONDecodeError as error:
+            raise DataError(
+                path, f"line {number} is no recipe ({error}); write the augmented set again"
+            ) from error
+    return tuple(recipes)
 
 
 def _mapped(path: pathlib.Path, shape: tuple[int, ...]) -> np.ndarray:
