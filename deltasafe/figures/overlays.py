@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -68,7 +69,7 @@ def overlay_figure(overlays: Sequence[Overlay], delta: float = 0.05) -> Figure:
     return figure
 
 
-def _draw_row(axes: Sequence[Axes], overlay: Overlay, delta: float):  # type: ignore[no-untyped-def]
+def _draw_row(axes: Sequence[Axes], overlay: Overlay, delta: float) -> AxesImage:
     occupied = require_label(overlay.label)
     p_occupied = require_p_occupied(overlay.p_occupied, occupied.shape)
     if overlay.image.shape != (*occupied.shape, 3) or overlay.image.dtype != np.uint8:

@@ -139,3 +139,16 @@ def test_a_calibration_survives_json_and_refuses_nonsense():
         dataclasses.replace(CALIBRATION, smallest_supported_delta=0.0)
     with pytest.raises(SettingsError, match="temperature"):
         dataclasses.replace(CALIBRATION, temperature=0.0)
+
+
+def test_a_delta_below_an_unsupported_one_is_not_supported_either():
+    label = np.zeros((SIDE, SIDE), bool)
+    label[: SIDE // 5] = True
+    p_occupied = np.where(label, 0.999, 1e-5)
+    p_occupied[: SIDE // 10] = (
+        0.04  # half of the hand counts as free from 0.05 on: a ninth of the free pixels
+    )
+    rows = delta_support(stack_counts([safety_counts(p_occupied, label)] * 50))
+    holds = {row.delta: row.upper_bound <= row.delta for row in rows}
+    assert [holds[delta] for delta in (0.02, 0.05, 0.15)] == [True, False, True]
+    assert smallest_supported_delta(rows) == 0.15
