@@ -1,0 +1,132 @@
+"""What an arm can do, in a handful of verbs, and an arm in memory for tests of whoever drives one."""
+
+import dataclasses
+import types
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.execution.kinematics import JointLimits
+
+__all__ = ["Arm", "ArmState", "Dynamics", "FloatingTool"]
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmState:
+    """What is measured at one instant.
+
+    Attributes:
+        joint_positions_rad, joint_velocities_radps: (n,).
+        tool_position_m: (3,) centre of the disc.
+        tool_quaternion: (4,) x, y, z, w; rotates the tool's frame (z along the shaft, upward) into the world's.
+    """
+
+    joint_positions_rad: Array
+    joint_velocities_radps: Array
+    tool_position_m: Array
+    tool_quaternion: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Dynamics:
+    """The model of the arm that its controller has: M q'' + bias = torque, twist = J q'.
+
+    Attributes:
+        mass_matrix: (n, n).
+        bias_nm: (n,) gravity, Coriolis and centrifugal torques; no friction.
+        jacobian: (6, n) linear, then angular velocity of the tool's frame in the world.
+        drift: (6,) dJ/dt q'.
+    """
+
+    mass_matrix: Array
+    bias_nm: Array
+    jacobian: Array
+    drift: Array
+
+
+class Arm(Protocol):
+    """A torque-controlled arm that carries the tool. Use it as a context manager."""
+
+    @property
+    def limits(self) -> JointLimits: ...
+
+    @property
+    def control_period_s(self) -> float: ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: types.TracebackType | None,
+    ) -> None: ...
+
+    def inverse(self, poses: Array) -> Array:
+        """Joint positions (N, n), continuous along tool poses (N, 4); raises PlanningError if impossible."""
+
+    def reset(self, joint_positions_rad: Array) -> None:
+        """Put the arm at rest into a posture."""
+
+    def state(self) -> ArmState:
+        """Measure joints and tool."""
+
+    def dynamics(self, state: ArmState) -> Dynamics:
+        """The controller's model at a state."""
+
+    def step(self, torques_nm: Array) -> int:
+        """Apply joint torques (n,) for one control period; number of contacts with hand or table in it."""
+
+    def link_points_m(self) -> Array:
+        """(P, 3) points on the surface of the links above the tool."""
+
+
+class FloatingTool:
+    """The tool as a free unit mass without gravity: three axes of position, one of yaw. Frictionless, exact.
+
+    Its "joints" are x, y, z [m] and three angles of which only the last (yaw, rad) may move.
+    """
+
+    def __init__(self, control_period_s: float = 1e-3, drag_ns_per_m: float = 0.0) -> None:
+        self.control_period_s = control_period_s
+        self.limits = JointLimits((10.0,) * 6, (10.0,) * 6, (100.0,) * 6)
+        self._drag = drag_ns_per_m
+        self._q, self._q_dot = np.zeros(6), np.zeros(6)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: types.TracebackType | None,
+    ) -> None:
+        return None
+
+    def inverse(self, poses: Array) -> Array:
+        return np.insert(np.asarray(poses, dtype=np.float64), [3, 3], 0.0, axis=1)
+
+    def reset(self, joint_positions_rad: Array) -> None:
+        self._q, self._q_dot = np.array(joint_positions_rad, dtype=np.float64), np.zeros(6)
+
+    def state(self) -> ArmState:
+        half = self._q[5] / 2
+        quaternion = np.array([0.0, 0.0, np.sin(half), np.cos(half)])
+        return ArmState(self._q.copy(), self._q_dot.copy(), self._q[:3].copy(), quaternion)
+
+    def dynamics(self, state: ArmState) -> Dynamics:
+        return Dynamics(np.eye(6), np.zeros(6), np.eye(6), np.zeros(6))
+
+    def step(self, torques_nm: Array) -> int:
+        acceleration = np.asarray(torques_nm) - self._drag * self._q_dot
+        acceleration[3:5] = 0.0
+        self._q_dot = self._q_dot + self.control_period_s * acceleration
+        self._q = self._q + self.control_period_s * self._q_dot
+        return 0
+
+    def link_points_m(self) -> Array:
+        return np.zeros((0, 3))

@@ -1,0 +1,220 @@
+"""Distance from the tool to a triangle mesh, exact to a tenth of a millimetre, and from points to the mesh.
+
+The tool is two convex solids, an elliptic and a circular cylinder, and so is each triangle. Whatever triangle a
+bounding sphere cannot rule out is met by alternating projections between the two convex sets (Cheney and Goldstein
+1959), which close in on their distance from above.
+"""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import SettingsError
+from deltasafe.planning.body import ToolBody
+
+__all__ = ["MeshDistance", "body_surface_points"]
+
+Array = NDArray[np.float64]
+
+_PROJECTIONS = 400
+_CELL_M = 0.02
+_TOUCHING_M = 1e-5
+
+
+class MeshDistance:
+    """Distances to one mesh.
+
+    Args:
+        vertices_m: (V, 3) world frame.
+        triangles: (F, 3) indices.
+
+    Raises:
+        SettingsError: shapes or indices that are no mesh.
+    """
+
+    def __init__(self, vertices_m: NDArray[np.floating], triangles: NDArray[np.integer]) -> None:
+        vertices = np.asarray(vertices_m, dtype=np.float64)
+        faces = np.asarray(triangles, dtype=np.int64)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+            raise SettingsError(f"vertices_m must be finite with shape (V, 3), got {vertices.shape}")
+        if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
+            raise SettingsError(f"triangles must have shape (F, 3), F >= 1, got {faces.shape}")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise SettingsError(f"triangles index vertices 0 to {faces.max()}, there are {len(vertices)}")
+        self._corners = np.ascontiguousarray(vertices[faces])
+        self._centres = self._corners.mean(axis=1)
+        self._radii = np.linalg.norm(self._corners - self._centres[:, None], axis=2).max(axis=1)
+        # vertices in cells, each inside a sphere, for questions about many points
+        used = vertices[np.unique(faces)]
+        _, cell = np.unique(np.floor(used / _CELL_M), axis=0, return_inverse=True)
+        order = np.argsort(cell.ravel(), kind="stable")
+        self._points = np.ascontiguousarray(used[order])
+        self._starts = np.concatenate([[0], np.cumsum(np.bincount(cell.ravel()))])
+        groups = [self._points[a:b] for a, b in zip(self._starts[:-1], self._starts[1:], strict=True)]
+        self._hubs = np.array([group.mean(axis=0) for group in groups])
+        self._spans = np.array(
+            [np.linalg.norm(g - hub, axis=1).max() for g, hub in zip(groups, self._hubs, strict=True)]
+        )
+
+    def to_points(self, points_m: Array) -> float:
+        """Distance in metres from the nearest of (P, 3) points to the mesh's vertices; infinite without points.
+
+        Never below the true distance; at distance d above it by at most r^2 / 2d, where r is half a triangle's side.
+        """
+        points = np.asarray(points_m, dtype=np.float64)
+        points = points[np.argsort(points[:, 2])]  # the lowest first: they are the nearest, and rule out the rest
+        return float(_points_distance(points, self._points, self._starts, self._hubs, self._spans))
+
+    def to_tool(self, body: ToolBody, position_m: Array, rotation: Array) -> float:
+        """Distance in metres from the tool at a pose to the mesh's surface, 0 where they touch or cross.
+
+        Args:
+            body: the tool.
+            position_m: (3,) centre of the disc.
+            rotation: (3, 3) world from tool.
+        """
+        disc = (body.semi_axis_x_m, body.semi_axis_y_m, -body.thickness_m / 2, body.thickness_m / 2)
+        shaft = (body.shaft_radius_m, body.shaft_radius_m, 0.0, body.shaft_length_m)
+        best = math.inf
+        for solid in (disc, shaft):
+            best = _solid_distance(
+                np.array(solid), self._corners, self._centres, self._radii, position_m, rotation, best
+            )
+        return best if best > _TOUCHING_M else 0.0
+
+
+def body_surface_points(body: ToolBody, spacing_m: float = 0.002) -> Array:
+    """(P, 3) points in the tool's frame that cover its surface, at most ``spacing_m`` apart along each curve."""
+    if not spacing_m > 0:
+        raise SettingsError(f"spacing_m must be positive, got {spacing_m}")
+    half = body.thickness_m / 2
+    rings = []
+    for share in np.linspace(0, 1, math.ceil(body.rho_max_m / spacing_m) + 1):
+        count = max(1, math.ceil(2 * math.pi * body.rho_max_m * share / spacing_m))
+        turn = 2 * np.pi * np.arange(count) / count
+        rings.append(np.stack([share * np.cos(turn), share * np.sin(turn)], axis=1))
+    flat = np.concatenate(rings) * [body.semi_axis_x_m, body.semi_axis_y_m]
+    rim = rings[-1] * [body.semi_axis_x_m, body.semi_axis_y_m]
+    turn = 2 * np.pi * np.arange(max(8, math.ceil(2 * math.pi * body.shaft_radius_m / spacing_m)))
+    turn = turn / len(turn)
+    tube = body.shaft_radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    layers = [_lift(flat, np.array([-half, half]))]
+    layers.append(_lift(rim, np.linspace(-half, half, math.ceil(body.thickness_m / spacing_m) + 1)))
+    heights = np.linspace(half, body.shaft_length_m, math.ceil(body.shaft_length_m / spacing_m) + 1)
+    layers.append(_lift(tube, heights))
+    return np.concatenate(layers)
+
+
+def _lift(flat: Array, heights: Array) -> Array:
+    return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in heights])
+
+
+@numba.njit(cache=True)
+def _points_distance(points, targets, starts, hubs, spans):  # type: ignore[no-untyped-def]  # pragma: no cover
+    best = np.inf
+    for i in range(len(points)):
+        for h in range(len(hubs)):
+            if _gap(points[i], hubs[h]) - spans[h] < best:
+                for t in range(starts[h], starts[h + 1]):
+                    best = min(best, _gap(points[i], targets[t]))
+    return best
+
+
+@numba.njit(cache=True)
+def _solid_distance(solid, corners, centres, radii, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Smallest of ``best`` and the distance of an upright elliptic cylinder (a, b, bottom, top) to triangles."""
+    a, b, bottom, top = solid
+    bounds = np.empty(len(centres))
+    for i in range(len(centres)):
+        x, y, z = _to_frame(centres[i], position, rotation)
+        flat = max(math.sqrt(x * x + y * y) - max(a, b), 0.0)
+        high = max(z - top, bottom - z, 0.0)
+        bounds[i] = math.sqrt(flat * flat + high * high) - radii[i]
+    near = np.flatnonzero(bounds < best)
+    triangle = np.empty((3, 3))
+    for i in near[np.argsort(bounds[near])]:
+        if bounds[i] >= best:
+            break
+        x, y, z = _to_frame(centres[i], position, rotation)
+        if _gap(_in_solid(x, y, z, a, b, bottom, top), (x, y, z)) - radii[i] >= best:
+            continue
+        for corner in range(3):
+            triangle[corner] = _to_frame(corners[i, corner], position, rotation)
+        last = np.inf
+        for _ in range(_PROJECTIONS):
+            inside = _in_solid(x, y, z, a, b, bottom, top)
+            x, y, z = _on_triangle(inside, triangle)
+            gap = _gap(inside, (x, y, z))
+            if gap < _TOUCHING_M or last - gap < 1e-8:
+                break
+            last = gap
+        best = min(best, gap)
+    return best
+
+
+@numba.njit(cache=True)
+def _to_frame(point, position, rotation):  # type: ignore[no-untyped-def]  # pragma: no cover
+    x, y, z = point[0] - position[0], point[1] - position[1], point[2] - position[2]
+    return (
+        rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
+        rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
+        rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z,
+    )
+
+
+@numba.njit(cache=True)
+def _gap(p, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+    return math.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)
+
+
+@numba.njit(cache=True)
+def _in_solid(x, y, z, a, b, bottom, top):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Nearest point of the filled elliptic cylinder."""
+    z = min(max(z, bottom), top)
+    if (x / a) ** 2 + (y / b) ** 2 <= 1.0:
+        return x, y, z
+    # the multiplier t solves (a x / (t + a^2))^2 + (b y / (t + b^2))^2 = 1, convex and falling: Newton from the left
+    t = max(a * abs(x) - a * a, b * abs(y) - b * b, 0.0)
+    for _ in range(50):
+        p, q = a * x / (t + a * a), b * y / (t + b * b)
+        step = (p * p + q * q - 1.0) / (2.0 * (p * p / (t + a * a) + q * q / (t + b * b)))
+        t += step
+        if abs(step) < 1e-13:
+            break
+    return a * a * x / (t + a * a), b * b * y / (t + b * b), z
+
+
+@numba.njit(cache=True)
+def _on_triangle(p, t):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Nearest point of a triangle, by the region of the plane that p projects to (Ericson 2004, section 5.1.5)."""
+    ab0, ab1, ab2 = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
+    ac0, ac1, ac2 = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
+    d1 = ab0 * (p[0] - t[0, 0]) + ab1 * (p[1] - t[0, 1]) + ab2 * (p[2] - t[0, 2])
+    d2 = ac0 * (p[0] - t[0, 0]) + ac1 * (p[1] - t[0, 1]) + ac2 * (p[2] - t[0, 2])
+    d3 = ab0 * (p[0] - t[1, 0]) + ab1 * (p[1] - t[1, 1]) + ab2 * (p[2] - t[1, 2])
+    d4 = ac0 * (p[0] - t[1, 0]) + ac1 * (p[1] - t[1, 1]) + ac2 * (p[2] - t[1, 2])
+    d5 = ab0 * (p[0] - t[2, 0]) + ab1 * (p[1] - t[2, 1]) + ab2 * (p[2] - t[2, 2])
+    d6 = ac0 * (p[0] - t[2, 0]) + ac1 * (p[1] - t[2, 1]) + ac2 * (p[2] - t[2, 2])
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if d1 <= 0.0 and d2 <= 0.0:
+        v, w = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        v, w = 1.0, 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        v, w = 0.0, 1.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v, w = d1 / (d1 - d3), 0.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        v, w = 0.0, d2 / (d2 - d6)
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        v, w = vb / (va + vb + vc), vc / (va + vb + vc)
+    return (
+        t[0, 0] + v * ab0 + w * ac0,
+        t[0, 1] + v * ab1 + w * ac1,
+        t[0, 2] + v * ab2 + w * ac2,
+    )

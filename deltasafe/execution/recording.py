@@ -1,0 +1,180 @@
+"""What an execution leaves behind: arrays over time, saved and loaded as one folder."""
+
+import dataclasses
+import hashlib
+import pathlib
+import zipfile
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.planning.body import ToolBody
+from deltasafe.storage import atomic_folder, read_json, write_json
+
+__all__ = ["PHASES", "Execution"]
+
+PHASES = ("approach", "rest", "motion", "settle", "retreat", "stopped")
+"""Down onto the start, rest there, the planned motion, rest at the goal, up again; held by the monitor."""
+
+_FORMAT = 1
+_COLUMNS: dict[str, int | None] = {
+    "time_s": 0,
+    "phase": 0,
+    "reference_poses": 4,
+    "reference_velocities": 4,
+    "tool_positions_m": 3,
+    "tool_quaternions": 4,
+    "joint_positions_rad": None,
+    "torques_nm": None,
+    "tool_to_hand_m": 0,
+    "arm_to_hand_m": 0,
+    "contacts": 0,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Execution:
+    """A recorded run of N samples.
+
+    Attributes:
+        time_s: (N,) from the start of the approach.
+        phase: (N,) int8, index into ``PHASES``.
+        reference_poses, reference_velocities: (N, 4) x, y, z [m], yaw [rad] and their rates.
+        tool_positions_m: (N, 3) measured centre of the disc.
+        tool_quaternions: (N, 4) measured rotation of the tool, x, y, z, w; half turns of its mounting taken out.
+        joint_positions_rad, torques_nm: (N, n); torques as commanded after saturation.
+        tool_to_hand_m, arm_to_hand_m: (N,) distance of the tool, and of the links above it (infinite beyond
+            0.5 m), to the hand's surface; 0 where they touch.
+        contacts: (N,) int32, contact points counted by the physics since the sample before.
+        body: the tool.
+        seed: what drew the arm's imperfections.
+        stop_reason: why the monitor stopped the arm, empty if it did not.
+    """
+
+    time_s: NDArray[np.float64]
+    phase: NDArray[np.int8]
+    reference_poses: NDArray[np.float64]
+    reference_velocities: NDArray[np.float64]
+    tool_positions_m: NDArray[np.float64]
+    tool_quaternions: NDArray[np.float64]
+    joint_positions_rad: NDArray[np.float64]
+    torques_nm: NDArray[np.float64]
+    tool_to_hand_m: NDArray[np.float64]
+    arm_to_hand_m: NDArray[np.float64]
+    contacts: NDArray[np.int32]
+    body: ToolBody
+    seed: int
+    stop_reason: str = ""
+
+    def __post_init__(self) -> None:
+        count = len(self.time_s)
+        for name, columns in _COLUMNS.items():
+            array = np.array(getattr(self, name))
+            wanted = 1 if columns == 0 else 2
+            if array.ndim != wanted or len(array) != count or (columns and array.shape[1] != columns):
+                raise SettingsError(f"{name} does not fit {count} samples: shape {array.shape}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if count == 0 or not self.judged.any():
+            raise SettingsError("an execution needs at least one sample of its motion")
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """(N,) the samples that count: from rest at the start to rest at the goal, a stop included."""
+        outside = [PHASES.index("approach"), PHASES.index("retreat")]
+        return np.asarray(~np.isin(self.phase, outside))
+
+    @property
+    def completed(self) -> bool:
+        """Whether the whole motion was carried out."""
+        return not self.stop_reason
+
+    @property
+    def tool_rotations(self) -> NDArray[np.float64]:
+        """(N, 3, 3) world from tool."""
+        x, y, z, w = self.tool_quaternions.T
+        rows = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+        return np.moveaxis(np.array(rows), -1, 0)
+
+    @property
+    def reference_speed_mps(self) -> NDArray[np.float64]:
+        """(N,) speed of the reference."""
+        return np.asarray(np.linalg.norm(self.reference_velocities[:, :3], axis=1))
+
+    @property
+    def position_error_m(self) -> NDArray[np.float64]:
+        """(N,) distance of the measured centre from the reference."""
+        return np.asarray(np.linalg.norm(self.tool_positions_m - self.reference_poses[:, :3], axis=1))
+
+    @property
+    def rotation_error_rad(self) -> NDArray[np.float64]:
+        """(N,) angle between measured rotation and reference, tilt of the shaft included, so never below yaw's."""
+        half = self.reference_poses[:, 3] / 2
+        # scalar part of conjugate(reference) * measured, reference = (0, 0, sin, cos)
+        x, y, z, w = self.tool_quaternions.T
+        c, s = np.cos(half), np.sin(half)
+        vector = np.stack([c * x + s * y, c * y - s * x, c * z - s * w])
+        return np.asarray(2 * np.arctan2(np.linalg.norm(vector, axis=0), np.abs(c * w + s * z)))
+
+    @property
+    def workspace_error_m(self) -> NDArray[np.float64]:
+        """(N,) e_pos + rho_max * e_rotation: how far a point of the disc is off at most (decision 13)."""
+        return self.position_error_m + self.body.rho_max_m * self.rotation_error_rad
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All arrays by name."""
+        return {name: getattr(self, name) for name in _COLUMNS}
+
+    def digest(self) -> str:
+        """SHA-256 of everything recorded: equal runs have equal digests."""
+        state = hashlib.sha256(repr((self.body, self.seed, self.stop_reason)).encode())
+        for name, array in self.arrays().items():
+            state.update(name.encode() + array.dtype.str.encode() + repr(array.shape).encode())
+            state.update(np.ascontiguousarray(array).tobytes())
+        return state.hexdigest()
+
+    def save(self, folder: str | pathlib.Path) -> None:
+        """Write ``folder`` (execution.json, arrays.npz) as a whole, replacing what was there."""
+        with atomic_folder(folder) as temporary:
+            np.savez_compressed(temporary / "arrays.npz", allow_pickle=False, **self.arrays())
+            about = {
+                "format": _FORMAT,
+                "phases": PHASES,
+                "body": dataclasses.asdict(self.body),
+                "seed": self.seed,
+                "stop_reason": self.stop_reason,
+                "digest": self.digest(),
+            }
+            write_json(temporary / "execution.json", about)
+
+    @classmethod
+    def load(cls, folder: str | pathlib.Path) -> Self:
+        """Read what ``save`` wrote.
+
+        Raises:
+            DataError: a file is missing, damaged, altered, or of another format.
+        """
+        folder = pathlib.Path(folder)
+        about = read_json(folder / "execution.json")
+        if not isinstance(about, dict) or about.get("format") != _FORMAT:
+            raise DataError(folder / "execution.json", f"is not an execution of format {_FORMAT}")
+        path = folder / "arrays.npz"
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in _COLUMNS}
+            execution = cls(
+                **arrays, body=ToolBody(**about["body"]), seed=about["seed"], stop_reason=about["stop_reason"]
+            )
+        except FileNotFoundError:
+            raise DataError(path, "is missing") from None
+        except (KeyError, TypeError, ValueError, OSError, zipfile.BadZipFile) as error:
+            raise DataError(path, f"cannot be read ({error}); execute the motion again") from error
+        if execution.digest() != about.get("digest"):
+            raise DataError(folder, "was altered after it was written; execute the motion again")
+        return execution
