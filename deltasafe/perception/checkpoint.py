@@ -51,6 +51,11 @@ class Checkpoint:
             index, name = key.split(".", 1)
             state.setdefault(int(index), {})[name] = value
         optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
+        for parameter, moments in optimiser.state.items():
+            # the fused update walks memory, so moments must lie in memory as their parameter does
+            for name, value in moments.items():
+                if value.shape == parameter.shape:
+                    moments[name] = torch.empty_like(parameter).copy_(value)
         losses: list[float] = tensors["losses"].tolist()
         return losses
 

@@ -1,0 +1,157 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from deltasafe.errors import ArtifactError, DataError, SettingsError
+from deltasafe.perception.augmented_set import AugmentedSet
+from deltasafe.perception.member import Member
+from deltasafe.perception.network import NetworkSettings
+from deltasafe.perception.training import TrainingSettings, learning_rate, train_member
+
+SMALL = TrainingSettings(
+    NetworkSettings(pretrained=False, pyramid_channels=16), epochs=2, batch_size=4, checkpoint_every_steps=3
+)
+
+
+class Stopped(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Bright squares on dark ground: a set that a network can learn within a few steps."""
+    rng = np.random.default_rng(0)
+    masks = np.zeros((16, 48, 64), np.uint8)
+    for mask in masks:
+        row, column = rng.integers(0, 24), rng.integers(0, 32)
+        mask[row : row + 24, column : column + 32] = 1
+    images = (masks[..., None] * 180 + rng.integers(0, 60, (16, 48, 64, 3))).astype(np.uint8)
+    return SetInMemory(images, masks)
+
+
+@dataclasses.dataclass(frozen=True)
+class SetInMemory:
+    images: np.ndarray
+    masks: np.ndarray
+    digest: str = "0" * 64
+
+
+def weights(member):
+    from safetensors.torch import load_file
+
+    return load_file(member.weights)
+
+
+def test_the_stand_in_has_what_the_real_set_has():
+    assert {"images", "masks", "digest"} <= {field.name for field in dataclasses.fields(AugmentedSet)} | set(
+        vars(AugmentedSet)
+    )
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(data, tmp_path_factory):
+    return train_member(data, SMALL, 7, tmp_path_factory.mktemp("whole"), "cpu")
+
+
+def test_a_killed_training_ends_bit_by_bit_where_an_uninterrupted_one_ends(data, uninterrupted, tmp_path):
+    def stop_at(step):
+        def on_step(report):
+            if report.step == step:
+                raise Stopped
+
+        return on_step
+
+    for step in (2, 5):  # before the first checkpoint, and between two of them
+        with pytest.raises(Stopped):
+            train_member(data, SMALL, 7, tmp_path, "cpu", stop_at(step))
+    resumed = []
+    member = train_member(data, SMALL, 7, tmp_path, "cpu", lambda report: resumed.append(report.step))
+    assert resumed == [4, 5, 6, 7, 8]
+    assert member.losses == uninterrupted.losses
+    expected = weights(uninterrupted)
+    assert all(torch.equal(value, expected[key]) for key, value in weights(member).items())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["member.json", "weights.safetensors"]
+
+
+def test_a_finished_member_is_not_trained_again(data, uninterrupted):
+    def never(report):
+        raise AssertionError
+
+    again = train_member(data, SMALL, 7, uninterrupted.folder, "cpu", never)
+    assert again.record == uninterrupted.record
+
+
+def test_a_checkpoint_of_other_settings_is_not_continued(data, tmp_path):
+    def stop(report):
+        if report.step == 4:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        train_member(data, SMALL, 7, tmp_path, "cpu", stop)
+    steps = []
+    train_member(
+        data, dataclasses.replace(SMALL, epochs=1), 7, tmp_path, "cpu", lambda r: steps.append(r.step)
+    )
+    assert steps[0] == 1
+
+
+def test_members_of_other_seeds_differ_in_weights_and_in_order(data, uninterrupted, tmp_path):
+    other = train_member(data, SMALL, 8, tmp_path, "cpu")
+    assert other.losses != uninterrupted.losses
+    assert other.ensemble_identity == uninterrupted.ensemble_identity
+    assert other.record["identity"] != uninterrupted.record["identity"]
+
+
+def test_the_loss_falls_and_begins_near_that_of_a_coin(data, tmp_path):
+    longer = dataclasses.replace(SMALL, epochs=6)
+    losses = train_member(data, longer, 0, tmp_path, "cpu").losses
+    assert losses[0] == pytest.approx(math.log(2), abs=0.4)
+    assert losses[-1] < 0.5 * losses[0]
+
+
+def test_an_altered_member_is_refused(data, tmp_path):
+    member = train_member(data, dataclasses.replace(SMALL, epochs=1), 0, tmp_path, "cpu")
+    with member.weights.open("r+b") as file:
+        file.seek(-1, 2)
+        file.write(b"\x7f")
+    with pytest.raises(ArtifactError, match="differs"):
+        Member.load(tmp_path)
+    member.weights.unlink()
+    with pytest.raises(DataError, match="train the member again"):
+        Member.load(tmp_path)
+
+
+def test_too_small_a_set_is_refused_before_anything_is_written(data, tmp_path):
+    with pytest.raises(SettingsError, match="batch_size 32"):
+        train_member(data, dataclasses.replace(SMALL, batch_size=32), 0, tmp_path / "new", "cpu")
+    assert not (tmp_path / "new").exists()
+
+
+def test_one_cycle_rises_to_its_peak_and_falls_to_nothing():
+    settings = TrainingSettings(epochs=4, peak_learning_rate=1e-3)
+    rates = [learning_rate(settings, step, 50) for step in range(200)]
+    assert np.argmax(rates) == 49
+    assert max(rates) == pytest.approx(1e-3)
+    assert 0 < rates[-1] < 1e-6
+    assert (np.diff(rates[:50]) > 0).all()
+    assert (np.diff(rates[50:]) < 0).all()
+
+
+def test_exponential_decay_is_a_step_an_epoch():
+    settings = TrainingSettings(schedule="exponential", peak_learning_rate=2e-4, epoch_decay=0.8)
+    rates = [learning_rate(settings, step, 10) for step in range(30)]
+    assert rates == pytest.approx([2e-4] * 10 + [1.6e-4] * 10 + [1.28e-4] * 10)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"epochs": 0}, {"batch_size": 1}, {"schedule": "cosine"}, {"peak_learning_rate": 0.0}, {"precision": "int8"}],
+    ids=str,
+)
+def test_settings_outside_their_domain_are_refused(wrong):
+    (name,) = wrong
+    with pytest.raises(SettingsError, match=name):
+        TrainingSettings(**wrong)

@@ -1,0 +1,58 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deltasafe.errors import SettingsError
+from deltasafe.geometry import Pose, PosePath, Trajectory, wrap_to_pi
+
+angles = st.floats(-1e4, 1e4)
+
+
+@given(angle=angles)
+def test_wrapping_keeps_the_direction_and_the_range(angle):
+    wrapped = float(wrap_to_pi(angle))
+    assert -math.pi <= wrapped <= math.pi
+    assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)
+    assert math.sin(wrapped) == pytest.approx(math.sin(angle), abs=1e-9)
+
+
+def test_length_counts_positions_and_not_rotation():
+    path = PosePath(np.array([[0, 0, 0, 0], [3, 4, 0, 1], [3, 4, 12, -2]], dtype=float))
+    assert path.length_m == pytest.approx(17.0)
+
+
+def test_arrays_are_copied_and_cannot_be_changed():
+    poses = np.zeros((2, 4))
+    path = PosePath(poses)
+    poses[0, 0] = 1.0
+    assert path.poses[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        path.poses[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("poses", [np.zeros((0, 4)), np.zeros((2, 3)), np.full((1, 4), np.nan)])
+def test_a_path_of_a_wrong_shape_is_refused(poses):
+    with pytest.raises(SettingsError):
+        PosePath(poses)
+
+
+def test_a_pose_must_be_finite():
+    with pytest.raises(SettingsError, match="finite"):
+        Pose(0.0, math.inf, 0.0)
+
+
+@pytest.mark.parametrize("time_s", [[0.0, 0.0], [0.1, 0.2], [0.0, 0.2, 0.1]])
+def test_time_starts_at_zero_and_increases(time_s):
+    n = len(time_s)
+    with pytest.raises(SettingsError):
+        Trajectory(np.array(time_s), np.zeros((n, 4)), np.zeros((n, 4)))
+
+
+def test_speed_is_that_of_the_position_alone():
+    velocities = np.array([[0, 0, 0, 9], [3, 0, 4, 0]], dtype=float)
+    trajectory = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 4)), velocities)
+    assert trajectory.speed_mps.tolist() == [0.0, 5.0]
+    assert trajectory.duration_s == 1.0
