@@ -15,7 +15,11 @@ __all__ = ["compiled"]
 def _digest_of_sources() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
     root = pathlib.Path(__file__).parent
-    for path in [pathlib.Path(__file__), *sorted(root.glob("scene/*.py")), *sorted(root.glob("planning/*.py"))]:
+    for path in [
+        pathlib.Path(__file__),
+        *sorted(root.glob("scene/*.py")),
+        *sorted(root.glob("planning/*.py")),
+    ]:
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

@@ -1,0 +1,49 @@
+"""Motions that keep away from what may be occupied: SCC-RRT*, its segment tests, and safe velocity scheduling."""
+
+from deltasafe.planning.body import ToolBody
+from deltasafe.planning.checks import (
+    CheckSettings,
+    SegmentTest,
+    body_clearance_m,
+    is_segment_safe,
+    segment_test,
+)
+from deltasafe.planning.constraint import answers_segments, segment_is_safe
+from deltasafe.planning.cost import LineCost, area_m2, line_cost, path_cost
+from deltasafe.planning.field import SafetyField
+from deltasafe.planning.motion import MotionSettings, PlannedMotion, plan_motion
+from deltasafe.planning.refine import refine_path
+from deltasafe.planning.rrt_star import SearchTree, grow_tree
+from deltasafe.planning.scc_rrt_star import PlannerSettings, PlanResult, PlanStatus, plan
+from deltasafe.planning.tracking import TrackingBound
+from deltasafe.planning.velocity import SpeedProfile, VelocitySettings, schedule
+
+__all__ = [
+    "CheckSettings",
+    "LineCost",
+    "MotionSettings",
+    "PlanResult",
+    "PlanStatus",
+    "PlannedMotion",
+    "PlannerSettings",
+    "SafetyField",
+    "SearchTree",
+    "SegmentTest",
+    "SpeedProfile",
+    "ToolBody",
+    "TrackingBound",
+    "VelocitySettings",
+    "answers_segments",
+    "area_m2",
+    "body_clearance_m",
+    "grow_tree",
+    "is_segment_safe",
+    "line_cost",
+    "path_cost",
+    "plan",
+    "plan_motion",
+    "refine_path",
+    "schedule",
+    "segment_is_safe",
+    "segment_test",
+]

@@ -11,7 +11,7 @@ from deltasafe.compiling import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.constraint import answers_segments, ask_segment
-from deltasafe.planning.field import FieldArrays, SafetyField, clearance_at
+from deltasafe.planning.field import FieldArrays, SafetyField, clearance_at, voxel_of
 
 __all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_segment_safe", "segment_test"]
 
@@ -53,12 +53,10 @@ class CheckSettings:
                 raise SettingsError(f"{name} must be between 1e-5 and 0.1 m, got {getattr(self, name)}")
 
 
-class SegmentTest(NamedTuple):
-    """All that a test needs, as compiled code reads it. Made by ``segment_test``."""
+class CheckNumbers(NamedTuple):
+    """The numbers of a segment test: of the body, of its cover, of the method (an index of ``METHODS``)."""
 
     method: int
-    field: FieldArrays
-    cover: Array
     cover_radius_m: float
     disc_radius_m: float
     half_thickness_m: float
@@ -67,11 +65,20 @@ class SegmentTest(NamedTuple):
     margin_m: float
     delta_p_m: float
     resolution_m: float
-    samples: Array
     n_samples: int
     redraw_samples: bool
     use_certificate: bool
     seed: int
+    floor_z_m: float
+
+
+class SegmentTest(NamedTuple):
+    """All that a test needs, as compiled code reads it. Made by ``segment_test``."""
+
+    field: FieldArrays
+    cover: Array
+    samples: Array
+    numbers: CheckNumbers
 
 
 def segment_test(
@@ -92,29 +99,34 @@ def segment_test(
     cover, cover_radius_m = body.disc_cover
     sampled = settings.method == "sampled"
     return SegmentTest(
-        method=METHODS.index(settings.method),
-        field=field.arrays,
-        cover=cover,
-        cover_radius_m=cover_radius_m,
-        disc_radius_m=body.disc_radius_m,
-        half_thickness_m=body.thickness_m / 2,
-        shaft_radius_m=body.shaft_radius_m,
-        rho_max_m=body.rho_max_m,
-        margin_m=float(margin_m),
-        delta_p_m=settings.delta_p_m,
-        resolution_m=settings.resolution_m,
-        samples=body.samples(margin_m + settings.delta_p_m / 2, POOL_SIZE if sampled else 1, seed),
-        n_samples=settings.n_samples,
-        redraw_samples=settings.redraw_samples,
-        use_certificate=settings.use_certificate,
-        seed=seed,
+        field.arrays,
+        cover,
+        body.samples(margin_m + settings.delta_p_m / 2, POOL_SIZE if sampled else 1, seed),
+        CheckNumbers(
+            method=METHODS.index(settings.method),
+            cover_radius_m=cover_radius_m,
+            disc_radius_m=body.disc_radius_m,
+            half_thickness_m=body.thickness_m / 2,
+            shaft_radius_m=body.shaft_radius_m,
+            rho_max_m=body.rho_max_m,
+            margin_m=float(margin_m),
+            delta_p_m=settings.delta_p_m,
+            resolution_m=settings.resolution_m,
+            n_samples=settings.n_samples,
+            redraw_samples=settings.redraw_samples,
+            use_certificate=settings.use_certificate,
+            seed=seed,
+            floor_z_m=field.arrays.floor_z_m,
+        ),
     )
 
 
 def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
     """Whether the segment between two poses (4,), yaw turning linearly, passes; symmetric in its ends."""
     return bool(
-        ask_segment(test, np.asarray(start, dtype=np.float64).copy(), np.asarray(end, dtype=np.float64).copy())
+        ask_segment(
+            test, np.asarray(start, dtype=np.float64).copy(), np.asarray(end, dtype=np.float64).copy()
+        )
     )
 
 
@@ -132,119 +144,140 @@ def _segment(test, first, second):  # type: ignore[no-untyped-def]
             if first[axis] > second[axis]:
                 start, end = second, first
             break
-    dx, dy, dz, dyaw = end[0] - start[0], end[1] - start[1], end[2] - start[2], end[3] - start[3]
-    motion_m = math.sqrt(dx * dx + dy * dy + dz * dz) + test.rho_max_m * abs(dyaw)
-    if test.method == 2:
-        return _whole_motion_is_safe(test, start, dx, dy, dz, dyaw, motion_m)
-    steps = max(1, int(math.ceil(motion_m / test.delta_p_m)))
-    key = _mix(np.uint64(test.seed), start, end)
+    if test.numbers.method == 2:
+        return _continuous(test.field, test.cover, test.numbers, start, end)
+    return _at_poses(test.field, test.cover, test.samples, test.numbers, start, end)
+
+
+@compiled
+def _motion(rho_max_m, start, end):  # type: ignore[no-untyped-def]
+    """Bound of the way that any point of the body makes along a segment."""
+    dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    return math.sqrt(dx * dx + dy * dy + dz * dz) + rho_max_m * abs(end[3] - start[3])
+
+
+@compiled
+def _at_poses(field, cover, samples, numbers, start, end):  # type: ignore[no-untyped-def]
+    """``exact`` and ``sampled``: poses at most Delta_p apart, both ends included, with margin for the way between."""
+    steps = max(1, int(math.ceil(_motion(numbers.rho_max_m, start, end) / numbers.delta_p_m)))
+    need_m = numbers.margin_m + numbers.delta_p_m / 2
+    key = _mix(np.uint64(numbers.seed), start, end)
     for step in range(steps + 1):
         t = step / steps
-        x, y, z, yaw = start[0] + t * dx, start[1] + t * dy, start[2] + t * dz, start[3] + t * dyaw
-        need_m = test.margin_m + test.delta_p_m / 2
-        if test.use_certificate and _certified(test, x, y, z, need_m):
+        x, y, z = (
+            start[0] + t * (end[0] - start[0]),
+            start[1] + t * (end[1] - start[1]),
+            start[2] + t * (end[2] - start[2]),
+        )
+        yaw = start[3] + t * (end[3] - start[3])
+        if numbers.use_certificate and _certified(field, numbers, x, y, z, need_m):
             continue
-        if test.method == 1:
-            if _clearance(test, x, y, z, yaw, need_m) < need_m:
+        if numbers.method == 1:
+            if (
+                _clearance(field.ball, field.ray, field.lattice, cover, numbers, x, y, z, yaw, need_m, need_m)
+                < need_m
+            ):
                 return False
-        elif not _samples_are_free(test, x, y, z, yaw, key, step):
-            return False
+        else:
+            bits = _scramble(key + np.uint64(step) * np.uint64(0x9E3779B97F4A7C15))
+            if not _samples_are_free(field.ball, field.lattice, samples, numbers, x, y, z, yaw, bits):
+                return False
     return True
 
 
 @compiled
-def _whole_motion_is_safe(test, start, dx, dy, dz, dyaw, motion_m):  # type: ignore[no-untyped-def]
+def _continuous(field, cover, numbers, start, end):  # type: ignore[no-untyped-def]
     """Bisection: a piece is safe if its middle pose is clear by the margin and half of the piece's motion."""
-    depth = np.empty(64, np.int64)
-    index = np.empty(64, np.int64)
-    depth[0] = index[0] = 0
-    waiting = 1
-    while waiting > 0:
-        waiting -= 1
-        level, place = depth[waiting], index[waiting]
+    motion_m = _motion(numbers.rho_max_m, start, end)
+    level, place = 0, 0
+    while True:
         pieces = float(1 << level)
         t = (place + 0.5) / pieces
         half_m = 0.5 * motion_m / pieces
-        need_m = test.margin_m + half_m
-        x, y, z, yaw = start[0] + t * dx, start[1] + t * dy, start[2] + t * dz, start[3] + t * dyaw
-        if test.use_certificate and _certified(test, x, y, z, need_m):
-            continue
-        clearance_m = _clearance(test, x, y, z, yaw, need_m)
-        if clearance_m >= need_m:
-            continue
-        if clearance_m < test.margin_m or half_m <= test.resolution_m:
-            return False
-        depth[waiting] = depth[waiting + 1] = level + 1
-        index[waiting], index[waiting + 1] = 2 * place, 2 * place + 1
-        waiting += 2
-    return True
+        need_m = numbers.margin_m + half_m
+        x, y, z = (
+            start[0] + t * (end[0] - start[0]),
+            start[1] + t * (end[1] - start[1]),
+            start[2] + t * (end[2] - start[2]),
+        )
+        yaw = start[3] + t * (end[3] - start[3])
+        if not (numbers.use_certificate and _certified(field, numbers, x, y, z, need_m)):
+            clearance_m = _clearance(
+                field.ball, field.ray, field.lattice, cover, numbers, x, y, z, yaw, need_m, numbers.margin_m
+            )
+            if clearance_m < need_m:
+                if clearance_m < numbers.margin_m or half_m <= numbers.resolution_m:
+                    return False
+                level, place = level + 1, 2 * place
+                continue
+        # on to the next piece: up while this was the second half of its parent
+        while place & 1:
+            level, place = level - 1, place >> 1
+        if level == 0:
+            return True
+        place += 1
 
 
 @compiled
-def _clearance(test, x, y, z, yaw, enough_m):  # type: ignore[no-untyped-def]
-    """Lower bound of the body's clearance; no better than it needs to be once it is at least ``enough_m``.
+def _clearance(  # type: ignore[no-untyped-def]
+    ball, ray, lattice, cover, numbers, x, y, z, yaw, enough_m, least_of_use_m
+):
+    """Lower bound of the body's clearance: not sought further once below ``least_of_use_m`` or surely ``enough_m``.
 
     Table: the disc's lower face. Shaft: the ray above the centre, thickened. Disc: its enclosing ball or, if
     that is not clear by enough, the balls of its cover.
     """
-    least_m = min(
-        z - test.half_thickness_m - test.field.floor_z_m,
-        clearance_at(test.field, test.field.ray, x, y, z) - test.shaft_radius_m,
+    clearance_m = min(
+        z - numbers.half_thickness_m - numbers.floor_z_m,
+        clearance_at(ray, lattice, x, y, z) - numbers.shaft_radius_m,
     )
-    if least_m < test.margin_m:
-        return least_m
-    whole_m = clearance_at(test.field, test.field.ball, x, y, z) - test.disc_radius_m
+    if clearance_m < least_of_use_m:
+        return clearance_m
+    whole_m = clearance_at(ball, lattice, x, y, z) - numbers.disc_radius_m
     if whole_m >= enough_m:
-        return min(least_m, whole_m)
+        return min(clearance_m, whole_m)
     cos, sin = math.cos(yaw), math.sin(yaw)
-    for n in range(len(test.cover)):
-        u, v, w = test.cover[n, 0], test.cover[n, 1], test.cover[n, 2]
-        ball_m = clearance_at(test.field, test.field.ball, x + cos * u - sin * v, y + sin * u + cos * v, z + w)
-        least_m = min(least_m, ball_m - test.cover_radius_m)
-        if least_m < test.margin_m:
-            return least_m
-    return least_m
+    for n in range(len(cover)):
+        u, v, w = cover[n, 0], cover[n, 1], cover[n, 2]
+        one_m = clearance_at(ball, lattice, x + cos * u - sin * v, y + sin * u + cos * v, z + w)
+        clearance_m = min(clearance_m, one_m - numbers.cover_radius_m)
+        if clearance_m < least_of_use_m:
+            return clearance_m
+    return clearance_m
 
 
 @compiled
-def _certified(test, x, y, z, need_m):  # type: ignore[no-untyped-def]
+def _certified(field, numbers, x, y, z, need_m):  # type: ignore[no-untyped-def]
     """Whether the coarse grid alone shows that disc and shaft are clear by ``need_m``."""
-    field = test.field
-    if z - test.half_thickness_m - field.floor_z_m < need_m:
+    if z - numbers.half_thickness_m - numbers.floor_z_m < need_m:
         return False
-    nx, ny, nz = field.ball.shape
-    i = int(min(max((x - field.lower_m[0]) / field.voxel_m, 0.0), nx - 1.0)) // field.stride
-    j = int(min(max((y - field.lower_m[1]) / field.voxel_m, 0.0), ny - 1.0)) // field.stride
-    k = int(min(max((z - field.lower_m[2]) / field.voxel_m, 0.0), nz - 1.0)) // field.stride
+    i, j, k = voxel_of(field.lattice, x, y, z)
+    i, j, k = i // field.lattice.stride, j // field.lattice.stride, k // field.lattice.stride
     return (
-        field.coarse_ball[i, j, k] >= test.disc_radius_m + need_m
-        and field.coarse_ray[i, j, k] >= test.shaft_radius_m + need_m
+        field.coarse_ball[i, j, k] >= numbers.disc_radius_m + need_m
+        and field.coarse_ray[i, j, k] >= numbers.shaft_radius_m + need_m
     )
 
 
 @compiled
-def _samples_are_free(test, x, y, z, yaw, key, step):  # type: ignore[no-untyped-def]
+def _samples_are_free(ball, lattice, samples, numbers, x, y, z, yaw, bits):  # type: ignore[no-untyped-def]
     """The paper's scenario test of a pose. The draw is a function of segment and pose alone (counter-based).
 
     N_x different points of a pool of uniform ones: a random first, and a random odd stride.
     """
-    field = test.field
-    nx, ny, nz = field.ball.shape
-    size = np.uint64(len(test.samples))
-    place, stride = np.uint64(0), np.uint64(1)
-    if test.redraw_samples:
-        bits = _scramble(key + np.uint64(step) * np.uint64(0x9E3779B97F4A7C15))
-        place, stride = bits % size, ((bits >> np.uint64(32)) % size) | np.uint64(1)
+    size = np.int64(len(samples))
+    place, stride = np.int64(0), np.int64(1)
+    if numbers.redraw_samples:
+        place = np.int64(bits & np.uint64(0x7FFFFFFF)) % size
+        stride = np.int64((bits >> np.uint64(32)) & np.uint64(0x7FFFFFFF)) % size | 1
     cos, sin = math.cos(yaw), math.sin(yaw)
-    for _ in range(test.n_samples):
-        u, v, w = test.samples[place, 0], test.samples[place, 1], test.samples[place, 2]
+    for _ in range(numbers.n_samples):
+        u, v, w = samples[place, 0], samples[place, 1], samples[place, 2]
         place = (place + stride) % size
-        if z + w < field.floor_z_m:
+        if z + w < numbers.floor_z_m:
             return False
-        i = int(min(max((x + cos * u - sin * v - field.lower_m[0]) / field.voxel_m, 0.0), nx - 1.0))
-        j = int(min(max((y + sin * u + cos * v - field.lower_m[1]) / field.voxel_m, 0.0), ny - 1.0))
-        k = int(min(max((z + w - field.lower_m[2]) / field.voxel_m, 0.0), nz - 1.0))
-        if field.ball[i, j, k] == 0.0:
+        i, j, k = voxel_of(lattice, x + cos * u - sin * v, y + sin * u + cos * v, z + w)
+        if ball[i, j, k] == 0.0:
             return False
     return True
 
@@ -271,20 +304,17 @@ def _clearances(test, poses):  # type: ignore[no-untyped-def]
     clearance_m = np.empty(len(poses))
     for n in range(len(poses)):
         x, y, z, yaw = poses[n, 0], poses[n, 1], poses[n, 2], poses[n, 3]
-        # without a margin to keep and with more than any field holds, the cover is always asked to the end
-        clearance_m[n] = _full_clearance(test, x, y, z, yaw)
+        clearance_m[n] = _clearance(
+            test.field.ball,
+            test.field.ray,
+            test.field.lattice,
+            test.cover,
+            test.numbers,
+            x,
+            y,
+            z,
+            yaw,
+            np.inf,
+            -np.inf,
+        )
     return clearance_m
-
-
-@compiled
-def _full_clearance(test, x, y, z, yaw):  # type: ignore[no-untyped-def]
-    least_m = min(
-        z - test.half_thickness_m - test.field.floor_z_m,
-        clearance_at(test.field, test.field.ray, x, y, z) - test.shaft_radius_m,
-    )
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    for n in range(len(test.cover)):
-        u, v, w = test.cover[n, 0], test.cover[n, 1], test.cover[n, 2]
-        ball_m = clearance_at(test.field, test.field.ball, x + cos * u - sin * v, y + sin * u + cos * v, z + w)
-        least_m = min(least_m, ball_m - test.cover_radius_m)
-    return least_m

@@ -11,7 +11,7 @@ from deltasafe.compiling import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["FieldArrays", "SafetyField", "clearance_at"]
+__all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "voxel_of"]
 
 REACH_M = 0.06
 """Clearances are exact up to this distance and capped there; nothing in planning asks for more."""
@@ -20,20 +20,32 @@ CERTIFICATE_M = 0.01
 """Edge of a cell of the coarse grid of minimum clearances."""
 
 
+class Lattice(NamedTuple):
+    """Where the voxels of a safety field lie. Numbers only: compiled code passes them without counting references."""
+
+    lower_x_m: float
+    lower_y_m: float
+    lower_z_m: float
+    voxel_m: float
+    nx: int
+    ny: int
+    nz: int
+    stride: int
+
+
 class FieldArrays(NamedTuple):
     """A safety field as compiled code reads it; distances from a voxel's centre, in metres.
 
     ``ball`` (nx, ny, nz) is the distance to the unsafe set, ``ray`` the smallest distance of any point straight
-    above. ``coarse_*`` are lower bounds of the clearance of every point of a block of ``stride`` voxels an edge.
+    above. ``coarse_*`` are lower bounds of the clearance of every point of a block of ``lattice.stride`` voxels
+    an edge. ``floor_z_m`` is the table.
     """
 
     ball: NDArray[np.float32]
     ray: NDArray[np.float32]
     coarse_ball: NDArray[np.float32]
     coarse_ray: NDArray[np.float32]
-    lower_m: NDArray[np.float64]
-    voxel_m: float
-    stride: int
+    lattice: Lattice
     floor_z_m: float
 
 
@@ -71,9 +83,14 @@ class SafetyField:
             ray=ray,
             coarse_ball=_block_minimum(ball, stride, grid.voxel_m),
             coarse_ray=_block_minimum(ray, stride, grid.voxel_m),
-            lower_m=grid.origin_m - (grid.voxel_m, grid.voxel_m, 0.0),
-            voxel_m=grid.voxel_m,
-            stride=stride,
+            lattice=Lattice(
+                float(grid.origin_m[0] - grid.voxel_m),
+                float(grid.origin_m[1] - grid.voxel_m),
+                float(grid.origin_m[2]),
+                grid.voxel_m,
+                *ball.shape,
+                stride,
+            ),
             floor_z_m=float(grid.origin_m[2]),
         )
         return cls(grid, float(delta), arrays)
@@ -93,23 +110,27 @@ class SafetyField:
 
 
 @compiled
-def clearance_at(field, distances, x, y, z):  # type: ignore[no-untyped-def]
+def clearance_at(distances, lattice, x, y, z):  # type: ignore[no-untyped-def]
     """Lower bound of the distance of a point (or of the ray above it) to the unsafe voxels; the table is apart.
 
     The distance of the voxel's centre less the way from there: the distance function is 1-Lipschitz. Beyond the
     stored box the nearest stored point is no farther from the unsafe set, so looking there is conservative.
     """
-    i, dx = _nearest(x, field.lower_m[0], field.voxel_m, distances.shape[0])
-    j, dy = _nearest(y, field.lower_m[1], field.voxel_m, distances.shape[1])
-    k, dz = _nearest(z, field.lower_m[2], field.voxel_m, distances.shape[2])
-    return distances[i, j, k] - math.sqrt(dx * dx + dy * dy + dz * dz)
+    u = min(max((x - lattice.lower_x_m) / lattice.voxel_m, 0.0), float(lattice.nx))
+    v = min(max((y - lattice.lower_y_m) / lattice.voxel_m, 0.0), float(lattice.ny))
+    w = min(max((z - lattice.lower_z_m) / lattice.voxel_m, 0.0), float(lattice.nz))
+    i, j, k = min(int(u), lattice.nx - 1), min(int(v), lattice.ny - 1), min(int(w), lattice.nz - 1)
+    u, v, w = u - i - 0.5, v - j - 0.5, w - k - 0.5
+    return distances[i, j, k] - lattice.voxel_m * math.sqrt(u * u + v * v + w * w)
 
 
 @compiled
-def _nearest(value, lower, voxel_m, count):  # type: ignore[no-untyped-def]
-    position = (value - lower) / voxel_m
-    index = int(min(max(math.floor(position), 0), count - 1))
-    return index, (min(max(position, 0.0), float(count)) - index - 0.5) * voxel_m
+def voxel_of(lattice, x, y, z):  # type: ignore[no-untyped-def]
+    """Index of the voxel that holds a point, or of the stored voxel nearest to it."""
+    i = int(min(max((x - lattice.lower_x_m) / lattice.voxel_m, 0.0), lattice.nx - 1.0))
+    j = int(min(max((y - lattice.lower_y_m) / lattice.voxel_m, 0.0), lattice.ny - 1.0))
+    k = int(min(max((z - lattice.lower_z_m) / lattice.voxel_m, 0.0), lattice.nz - 1.0))
+    return i, j, k
 
 
 @compiled
@@ -117,7 +138,7 @@ def _clearances(field, points_m):  # type: ignore[no-untyped-def]
     clearance_m = np.empty(len(points_m))
     for n in range(len(points_m)):
         x, y, z = points_m[n, 0], points_m[n, 1], points_m[n, 2]
-        clearance_m[n] = min(clearance_at(field, field.ball, x, y, z), z - field.floor_z_m)
+        clearance_m[n] = min(clearance_at(field.ball, field.lattice, x, y, z), z - field.floor_z_m)
     return clearance_m
 
 

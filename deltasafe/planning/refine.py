@@ -49,7 +49,9 @@ def _refine(constraint, cost, poses, lower, upper, n_steps, seed):  # type: igno
                 moved[axis] = min(max(value, lower[axis]), upper[axis])
             if np.random.random() < 0.3:  # toward its neighbours in yaw: rotation is seldom needed
                 moved[:3] = path[i, :3]
-                moved[3] = path[i, 3] + np.random.random() * (0.5 * (path[i - 1, 3] + path[i + 1, 3]) - path[i, 3])
+                moved[3] = path[i, 3] + np.random.random() * (
+                    0.5 * (path[i - 1, 3] + path[i + 1, 3]) - path[i, 3]
+                )
             old = segment_cost(cost, path[i - 1], path[i]) + segment_cost(cost, path[i], path[i + 1])
             new = segment_cost(cost, path[i - 1], moved) + segment_cost(cost, moved, path[i + 1])
             if (
@@ -110,4 +112,3 @@ def _place(parameter):  # type: ignore[no-untyped-def]
     if share > 0.9:
         return segment + 1, 0.0
     return segment, 0.0 if share < 0.1 else share
-

@@ -90,11 +90,25 @@ def grow_tree(
 
 @compiled
 def _grow(  # type: ignore[no-untyped-def]
-    constraint, cost, start, goal, lower, upper, n_iterations, steering, goal_bias, near_factor, informed, seed
+    constraint,
+    cost,
+    start,
+    goal,
+    lower,
+    upper,
+    n_iterations,
+    steering,
+    goal_bias,
+    near_factor,
+    informed,
+    seed,
 ):
     np.random.seed(seed)
     nodes = np.empty((n_iterations + 2, 4))
     nodes[START], nodes[GOAL] = start, goal
+    scale = math.sqrt(cost.rotation_weight_m2)
+    scaled, squared = np.zeros((4, n_iterations + 2)), np.empty(n_iterations + 2)
+    scaled[:3, START], scaled[3, START] = start[:3], scale * start[3]
     parent = np.full(n_iterations + 2, -1)
     costs = np.full(n_iterations + 2, np.inf)
     costs[START] = 0.0
@@ -111,7 +125,9 @@ def _grow(  # type: ignore[no-untyped-def]
             sample[:] = goal
         else:
             _draw(cost, start, goal, lower, upper, costs[GOAL] if informed else np.inf, sample)
-        nearest, distance = _nearest(cost, nodes, count, sample)
+        _squared_distances(scaled, count, cost.rotation_weight_m2, sample, squared)
+        nearest = np.argmin(squared[:count])
+        distance = math.sqrt(squared[nearest])
         joins_goal = at_goal and distance <= steering
         if distance == 0.0:
             continue
@@ -121,8 +137,11 @@ def _grow(  # type: ignore[no-untyped-def]
             bound = least_cost(cost, lower[2], start, new) + least_cost(cost, lower[2], new, goal)
             if bound >= costs[GOAL]:
                 continue
+        if not segment_is_safe(constraint, new, new):
+            continue
         k = max(1, int(near_factor * math.e * 1.25 * math.log(float(count))))
-        k = _near(cost, nodes, count, new, min(k, k_most), near, gap)
+        _squared_distances(scaled, count, cost.rotation_weight_m2, new, squared)
+        k = _near(squared, count, min(k, k_most), near, gap)
         for n in range(k):
             total[n] = costs[near[n]] + segment_cost(cost, nodes[near[n]], new)
             refused[n] = False
@@ -138,6 +157,7 @@ def _grow(  # type: ignore[no-untyped-def]
         if not joins_goal:
             this = count
             nodes[this] = new
+            scaled[:3, this], scaled[3, this] = new[:3], scale * new[3]
             count += 1
         _attach(parent, links, this, near[best])
         costs[this] = total[best]
@@ -195,34 +215,28 @@ def _draw(cost, start, goal, lower, upper, best, sample):  # type: ignore[no-unt
 
 
 @compiled
-def _nearest(cost, nodes, count, sample):  # type: ignore[no-untyped-def]
-    nearest, least = START, np.inf
+def _squared_distances(scaled, count, rotation_weight_m2, pose, squared):  # type: ignore[no-untyped-def]
+    """Squared distances of a pose to all nodes; ``scaled`` (4, n) holds a coordinate a row, yaw times sqrt(r)."""
+    x, y, z = pose[0], pose[1], pose[2]
+    turn = math.sqrt(rotation_weight_m2) * pose[3]
     for n in range(count):
-        if n != GOAL:
-            d0, d1, d2 = nodes[n, 0] - sample[0], nodes[n, 1] - sample[1], nodes[n, 2] - sample[2]
-            d3 = nodes[n, 3] - sample[3]
-            squared = d0 * d0 + d1 * d1 + d2 * d2 + cost.rotation_weight_m2 * d3 * d3
-            if squared < least:
-                nearest, least = n, squared
-    return nearest, math.sqrt(least)
+        d0, d1, d2, d3 = scaled[0, n] - x, scaled[1, n] - y, scaled[2, n] - z, scaled[3, n] - turn
+        squared[n] = d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3
+    squared[GOAL] = np.inf  # never a parent
 
 
 @compiled
-def _near(cost, nodes, count, new, k, near, gap):  # type: ignore[no-untyped-def]
-    """Fill ``near`` with the k nearest nodes but the goal, nearest first; returns how many there are."""
+def _near(squared, count, k, near, gap):  # type: ignore[no-untyped-def]
+    """Fill ``near`` with the k nearest nodes, nearest first; returns how many there are."""
     found = 0
     for n in range(count):
-        if n == GOAL:
-            continue
-        d0, d1, d2, d3 = nodes[n, 0] - new[0], nodes[n, 1] - new[1], nodes[n, 2] - new[2], nodes[n, 3] - new[3]
-        squared = d0 * d0 + d1 * d1 + d2 * d2 + cost.rotation_weight_m2 * d3 * d3
-        if found == k and squared >= gap[k - 1]:
+        if found == k and squared[n] >= gap[k - 1] or squared[n] == np.inf:
             continue
         place = found if found < k else k - 1
-        while place > 0 and gap[place - 1] > squared:
+        while place > 0 and gap[place - 1] > squared[n]:
             gap[place], near[place] = gap[place - 1], near[place - 1]
             place -= 1
-        gap[place], near[place] = squared, n
+        gap[place], near[place] = squared[n], n
         found = min(found + 1, k)
     return found
 

@@ -171,7 +171,9 @@ def plan(
                 f"{1000 * margin_m:.1f} mm are needed: move it away from what may be occupied",
             )
     lower, upper = _bounds(field, settings, *ends)
-    cost = line_cost(settings.cost, settings.rotation_weight_m2, field.arrays.floor_z_m, settings.length_weight_m)
+    cost = line_cost(
+        settings.cost, settings.rotation_weight_m2, field.arrays.floor_z_m, settings.length_weight_m
+    )
     test = segment_test(field, body, margin_m, _checks(settings), seed)
     tree = grow_tree(
         test,
@@ -257,21 +259,22 @@ def _is_connected(
     Optimistic by half a voxel diagonal, so that False proves that no path exists within the bounds.
     """
     arrays = field.arrays
-    slack_m = arrays.voxel_m * math.sqrt(3) / 2 * (1 + 1e-6)
+    voxel_m = arrays.lattice.voxel_m
+    slack_m = voxel_m * math.sqrt(3) / 2 * (1 + 1e-6)
     inscribed_m = min(body.semi_axis_x_m, body.semi_axis_y_m, body.thickness_m / 2)
     passable = (arrays.ball + slack_m >= inscribed_m + margin_m) & (
         arrays.ray + slack_m >= body.shaft_radius_m + margin_m
     )
     shape = np.array(passable.shape)
-    first, last = ((value[:3] - arrays.lower_m) // arrays.voxel_m for value in (lower, upper))
+    origin_m = np.array(arrays.lattice[:3])
+    first, last = ((value[:3] - origin_m) // voxel_m for value in (lower, upper))
     if last[2] >= shape[2]:
         return True  # the bounds leave the stored box, where all is free
     passable[:, :, : max(int(first[2]), 0)] = False
     passable[:, :, int(last[2]) + 1 :] = False
     labels, _ = ndimage.label(passable, structure=np.ones((3, 3, 3)))
     cells = [
-        tuple(np.clip((pose[:3] - arrays.lower_m) // arrays.voxel_m, 0, shape - 1).astype(int))
-        for pose in (start, goal)
+        tuple(np.clip((pose[:3] - origin_m) // voxel_m, 0, shape - 1).astype(int)) for pose in (start, goal)
     ]
     return bool(labels[cells[0]] != 0 and labels[cells[0]] == labels[cells[1]])
 

@@ -42,7 +42,9 @@ class Camera:
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             if not (isinstance(getattr(self, name), int) and getattr(self, name) > 0):
-                raise SettingsError(f"{name} must be a positive number of pixels, got {getattr(self, name)!r}")
+                raise SettingsError(
+                    f"{name} must be a positive number of pixels, got {getattr(self, name)!r}"
+                )
         for name in ("fx", "fy", "cx", "cy"):
             if not math.isfinite(getattr(self, name)):
                 raise SettingsError(f"{name} must be finite, got {getattr(self, name)!r}")

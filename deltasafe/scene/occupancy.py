@@ -72,7 +72,10 @@ class OccupancyGrid:
             raise SettingsError(f"an occupancy grid is stored as .npz, got {file.name}")
         with atomic_file(file) as temporary:
             np.savez_compressed(
-                temporary, p_occupied=self.p_occupied, origin_m=self.origin_m, voxel_m=np.float64(self.voxel_m)
+                temporary,
+                p_occupied=self.p_occupied,
+                origin_m=self.origin_m,
+                voxel_m=np.float64(self.voxel_m),
             )
 
     @classmethod
