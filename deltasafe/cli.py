@@ -56,7 +56,7 @@ def _predict(folder: pathlib.Path, image: pathlib.Path, output: pathlib.Path | N
     import cv2
     import numpy as np
 
-    from deltasafe.figures.overlays import occupancy_overlay
+    from deltasafe.figures.occupancy import occupancy_overlay
     from deltasafe.perception.artifact import load_ensemble
     from deltasafe.perception.hands import read_rgb
     from deltasafe.storage import atomic_file
