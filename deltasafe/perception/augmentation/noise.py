@@ -1,14 +1,10 @@
 """Noise and random erase: what sensor, lens, compression and things in between do to a picture."""
 
 import os
+from typing import Any
 
 import cv2
 import numpy as np
-
-os.environ.setdefault(
-    "NO_ALBUMENTATIONS_UPDATE", "1"
-)  # read at import; it would ask the network for its version
-import albumentations
 
 __all__ = ["degrade", "erase"]
 
@@ -26,11 +22,12 @@ def degrade(rng: np.random.Generator, picture: np.ndarray) -> tuple[np.ndarray, 
     blur = rng.random()
     if blur < 0.3:
         drawn["blur_px"] = float(rng.uniform(0.4, 1.3))
-        picture = cv2.GaussianBlur(picture, (0, 0), drawn["blur_px"])
+        deviation = (drawn["blur_px"], drawn["blur_px"])
+        picture = _applied(rng, picture, "GaussianBlur", blur_limit=0, sigma_limit=deviation)
     elif blur < 0.45:
         drawn["motion_blur_px"] = int(rng.choice((3, 5, 7)))
         length = drawn["motion_blur_px"]
-        picture = _seeded(albumentations.MotionBlur(blur_limit=(length, length), p=1.0), rng, picture)
+        picture = _applied(rng, picture, "MotionBlur", blur_limit=(length, length))
     if rng.random() < 0.7:
         drawn["hsv_deviation"] = float(rng.uniform(*NOISE_DEVIATION))
         picture = _hsv_noise(rng, picture, drawn["hsv_deviation"])
@@ -44,7 +41,7 @@ def degrade(rng: np.random.Generator, picture: np.ndarray) -> tuple[np.ndarray, 
     if rng.random() < 0.5:
         drawn["jpeg_quality"] = int(rng.integers(30, 96))
         quality = (drawn["jpeg_quality"], drawn["jpeg_quality"])
-        picture = _seeded(albumentations.ImageCompression(quality_range=quality, p=1.0), rng, picture)
+        picture = _applied(rng, picture, "ImageCompression", quality_range=quality)
     return picture, drawn
 
 
@@ -85,8 +82,11 @@ def _patchy_noise(rng: np.random.Generator, picture: np.ndarray, deviation: floa
     return np.clip(picture + strength * noise, 0, 255).astype(np.uint8)
 
 
-def _seeded(
-    transform: albumentations.BasicTransform, rng: np.random.Generator, picture: np.ndarray
-) -> np.ndarray:
-    transform.set_random_seed(int(rng.integers(2**31)))
-    return transform(image=picture)["image"]
+def _applied(rng: np.random.Generator, picture: np.ndarray, transform: str, **settings: Any) -> np.ndarray:
+    """A transform of albumentations, seeded from ``rng``; imported late, since it brings torch along."""
+    os.environ.setdefault("NO_ALBUMENTATIONS_UPDATE", "1")  # it would ask the network for its newest version
+    import albumentations
+
+    filtered = getattr(albumentations, transform)(p=1.0, **settings)
+    filtered.set_random_seed(int(rng.integers(2**31)))
+    return filtered(image=picture)["image"]
