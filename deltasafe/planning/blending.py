@@ -54,12 +54,14 @@ def blend_corners(
     reach_m: float,
     spacing_m: float,
     is_safe: Callable[[Array], bool],
-    least_reach_m: float = 0.0005,
+    tolerance_m: float,
+    least_reach_m: float = 0.0002,
 ) -> SmoothPath:
     """Replace each corner of a polyline (K, 4) by a parabola from ``reach_m`` before it to as much after it.
 
-    A parabola that ``is_safe`` refuses (it is given poses (M, 4) along it) is halved until it is accepted; below
-    ``least_reach_m`` the corner stays and becomes a stop.
+    A parabola that ``is_safe`` refuses (it is given poses (M, 4) along it), or that leaves the chords between
+    these poses by more than ``tolerance_m``, is halved until it is accepted; below ``least_reach_m`` the corner
+    stays and becomes a stop.
     """
     scale = np.array([1.0, 1.0, 1.0, math.sqrt(rotation_weight_m2)])
     points = _without_repeats(poses * scale)
@@ -72,8 +74,9 @@ def blend_corners(
         if back @ ahead > 1 - 1e-6:  # it turns back on itself
             reach = 0.0
         while reach >= least_reach_m:
-            arc, _, _ = _parabola(points[n] + reach * back, points[n], points[n] + reach * ahead, spacing_m)
-            if is_safe(arc / scale):
+            arc, _, bend = _parabola(points[n] + reach * back, points[n], points[n] + reach * ahead, spacing_m)
+            chord = np.linalg.norm(np.diff(arc, axis=0), axis=1)
+            if (np.maximum(bend[1:], bend[:-1]) * chord**2 / 8).max() <= tolerance_m and is_safe(arc / scale):
                 break
             reach /= 2
         reaches.append(reach if reach >= least_reach_m else 0.0)

@@ -11,7 +11,7 @@ from deltasafe.compiling import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.constraint import answers_segments, ask_segment
-from deltasafe.planning.field import FieldArrays, SafetyField, clearance_at, voxel_of
+from deltasafe.planning.field import FieldArrays, SafetyField, clearance_at, close_clearance_at, voxel_of
 
 __all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_segment_safe", "segment_test"]
 
@@ -229,7 +229,7 @@ def _clearance(  # type: ignore[no-untyped-def]
     """
     clearance_m = min(
         z - numbers.half_thickness_m - numbers.floor_z_m,
-        clearance_at(ray, lattice, x, y, z) - numbers.shaft_radius_m,
+        close_clearance_at(ray, lattice, x, y, z) - numbers.shaft_radius_m,
     )
     if clearance_m < least_of_use_m:
         return clearance_m
@@ -239,8 +239,11 @@ def _clearance(  # type: ignore[no-untyped-def]
     cos, sin = math.cos(yaw), math.sin(yaw)
     for n in range(len(cover)):
         u, v, w = cover[n, 0], cover[n, 1], cover[n, 2]
-        one_m = clearance_at(ball, lattice, x + cos * u - sin * v, y + sin * u + cos * v, z + w)
-        clearance_m = min(clearance_m, one_m - numbers.cover_radius_m)
+        u, v, w = x + cos * u - sin * v, y + sin * u + cos * v, z + w
+        one_m = clearance_at(ball, lattice, u, v, w) - numbers.cover_radius_m
+        if one_m < enough_m:
+            one_m = close_clearance_at(ball, lattice, u, v, w) - numbers.cover_radius_m
+        clearance_m = min(clearance_m, one_m)
         if clearance_m < least_of_use_m:
             return clearance_m
     return clearance_m

@@ -11,7 +11,7 @@ from deltasafe.compiling import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "voxel_of"]
+__all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "close_clearance_at", "voxel_of"]
 
 REACH_M = 0.06
 """Clearances are exact up to this distance and capped there; nothing in planning asks for more."""
@@ -125,6 +125,25 @@ def clearance_at(distances, lattice, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def close_clearance_at(distances, lattice, x, y, z):  # type: ignore[no-untyped-def]
+    """The best of the bounds of the eight voxels around a point: eight times the work, a fraction of the loss."""
+    u = min(max((x - lattice.lower_x_m) / lattice.voxel_m, 0.0), float(lattice.nx)) - 0.5
+    v = min(max((y - lattice.lower_y_m) / lattice.voxel_m, 0.0), float(lattice.ny)) - 0.5
+    w = min(max((z - lattice.lower_z_m) / lattice.voxel_m, 0.0), float(lattice.nz)) - 0.5
+    i = min(max(int(math.floor(u)), 0), max(lattice.nx - 2, 0))
+    j = min(max(int(math.floor(v)), 0), max(lattice.ny - 2, 0))
+    k = min(max(int(math.floor(w)), 0), max(lattice.nz - 2, 0))
+    best = -np.inf
+    for di in range(min(2, lattice.nx)):
+        for dj in range(min(2, lattice.ny)):
+            for dk in range(min(2, lattice.nz)):
+                du, dv, dw = u - i - di, v - j - dj, w - k - dk
+                away = lattice.voxel_m * math.sqrt(du * du + dv * dv + dw * dw)
+                best = max(best, distances[i + di, j + dj, k + dk] - away)
+    return best
+
+
+@compiled
 def voxel_of(lattice, x, y, z):  # type: ignore[no-untyped-def]
     """Index of the voxel that holds a point, or of the stored voxel nearest to it."""
     i = int(min(max((x - lattice.lower_x_m) / lattice.voxel_m, 0.0), lattice.nx - 1.0))
@@ -138,7 +157,7 @@ def _clearances(field, points_m):  # type: ignore[no-untyped-def]
     clearance_m = np.empty(len(points_m))
     for n in range(len(points_m)):
         x, y, z = points_m[n, 0], points_m[n, 1], points_m[n, 2]
-        clearance_m[n] = min(clearance_at(field.ball, field.lattice, x, y, z), z - field.floor_z_m)
+        clearance_m[n] = min(close_clearance_at(field.ball, field.lattice, x, y, z), z - field.floor_z_m)
     return clearance_m
 
 

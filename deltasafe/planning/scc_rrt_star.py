@@ -62,7 +62,7 @@ class PlannerSettings(CheckSettings):
     delta: float = 0.05
     n_iterations: int = 2000
     v_min_mps: float = 0.01
-    reserve_m: float = 0.0005
+    reserve_m: float = 0.001
     cost: str = "root"
     rotation_weight_m2: float = 0.01
     length_weight_m: float = 0.02
