@@ -49,22 +49,26 @@ class Arm:
         ys_hand, xs_hand = np.nonzero(mask)
         near = np.hypot(xs_hand - crossing[0], ys_hand - crossing[1]) < reach
         inward = np.array([xs_hand[near].mean(), ys_hand[near].mean()]) - crossing
-        normal = np.array(
+        sides = np.array(
             [
-                float((xs == width - 1).sum()) - float((xs == 0).sum()),
-                float((ys == height - 1).sum()) - float((ys == 0).sum()),
+                [float((xs == 0).sum()), float((ys == 0).sum())],
+                [float((xs == width - 1).sum()), float((ys == height - 1).sum())],
             ]
         )
-        normal /= max(float(np.linalg.norm(normal)), 1e-9)
-        direction = _unit(_unit(-inward) + 0.25 * normal)
-        if direction @ normal < 0.5:  # an arm along the border would be stretched without end
-            direction = _unit(direction + (0.7 - direction @ normal) * normal)
+        normal = sides[1] - sides[0]
+        direction = _unit(_unit(-inward) + 0.25 * _unit(normal))
+        # an arm leaves through every side that it crosses; along a side it would be stretched without end
+        crossed = np.abs(normal) > 0.12 * np.abs(normal).sum()
+        least = 0.35 if crossed.all() else 0.5
+        outward = np.maximum(direction * np.sign(normal), least) * np.sign(normal)
+        direction = _unit(np.where(crossed, outward, direction))
         across = np.array([-direction[1], direction[0]])
         spread = (xs - crossing[0]) * across[0] + (ys - crossing[1]) * across[1]
         run = (float(spread.min()), float(spread.max()))
         extent = run[1] - run[0] + 1.0
         hand_extent = np.ptp(np.quantile(xs_hand * across[0] + ys_hand * across[1], (0.02, 0.98))) + 1
-        narrowing = float(np.clip(0.6 * hand_extent / extent, 0.62, 1.0))
+        # in a corner the crossing is bent, and narrowing it would leave the border
+        narrowing = 1.0 if crossed.all() else float(np.clip(0.6 * hand_extent / extent, 0.62, 1.0))
         return cls(crossing.astype(np.float32), direction.astype(np.float32), extent, run, narrowing)
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

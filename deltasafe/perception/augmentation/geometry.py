@@ -1,12 +1,9 @@
 """The four geometric methods: each says where a point of the new picture comes from.
 
 A warp maps points of the new canvas to points of the old one. The warps of one image are chained and the hand
-is
-sampled once, as a cut-out: no border is reflected into ghost hands, and nothing is blurred by repeated
-interpolation.
-The background is put in afterwards and needs no warp, being drawn at random itself. (albumentations fills
-what comes from
-outside a picture; here points outside are wanted, because the arm goes on there.)
+is sampled once, as a cut-out: no border is reflected into ghost hands, and nothing is blurred by repeated
+interpolation. The background is put in afterwards and needs no warp, being drawn at random itself.
+albumentations fills what comes from outside a picture; here points outside are wanted: the arm goes on there.
 """
 
 from collections.abc import Callable
