@@ -35,8 +35,11 @@ class SmoothPath:
     def at(self, length: Array) -> tuple[Array, Array]:
         """Poses (M, 4) and their derivatives by l (M, 4) at lengths (M,)."""
         poses, slopes = np.empty((len(length), 4)), np.empty((len(length), 4))
-        which = np.clip(np.searchsorted(self.stops, np.searchsorted(self.length, length, "right") - 1, "right") - 1,
-                        0, len(self.stops) - 2)
+        which = np.clip(
+            np.searchsorted(self.stops, np.searchsorted(self.length, length, "right") - 1, "right") - 1,
+            0,
+            len(self.stops) - 2,
+        )
         for part, (first, last) in enumerate(zip(self.stops[:-1], self.stops[1:], strict=True)):
             chosen = which == part
             if not chosen.any():
@@ -74,7 +77,9 @@ def blend_corners(
         if back @ ahead > 1 - 1e-6:  # it turns back on itself
             reach = 0.0
         while reach >= least_reach_m:
-            arc, _, bend = _parabola(points[n] + reach * back, points[n], points[n] + reach * ahead, spacing_m)
+            arc, _, bend = _parabola(
+                points[n] + reach * back, points[n], points[n] + reach * ahead, spacing_m
+            )
             chord = np.linalg.norm(np.diff(arc, axis=0), axis=1)
             if (np.maximum(bend[1:], bend[:-1]) * chord**2 / 8).max() <= tolerance_m and is_safe(arc / scale):
                 break

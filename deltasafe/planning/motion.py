@@ -90,7 +90,9 @@ class PlannedMotion:
         folder = pathlib.Path(folder)
         record = read_json(folder / "motion.json")
         if not isinstance(record, dict) or record.get("format") != FORMAT:
-            raise DataError(folder / "motion.json", f"is not a planned motion of format {FORMAT}; plan it again")
+            raise DataError(
+                folder / "motion.json", f"is not a planned motion of format {FORMAT}; plan it again"
+            )
         try:
             with np.load(folder / "motion.npz", allow_pickle=False) as stored:
                 arrays = dict(stored)

@@ -10,7 +10,13 @@ from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.geometry import PosePath, Trajectory
 from deltasafe.planning.blending import SmoothPath, blend_corners
 from deltasafe.planning.body import ToolBody
-from deltasafe.planning.checks import CheckSettings, SegmentTest, body_clearance_m, is_segment_safe, segment_test
+from deltasafe.planning.checks import (
+    CheckSettings,
+    SegmentTest,
+    body_clearance_m,
+    is_segment_safe,
+    segment_test,
+)
 from deltasafe.planning.field import SafetyField
 from deltasafe.planning.tracking import TrackingBound
 
@@ -119,7 +125,9 @@ def schedule(
     cell_mps = np.clip(tracking.speed_mps(lowest_m), settings.v_min_mps, settings.v_max_mps)
     rate = _rates(curve, cell_mps, settings, body.rho_max_m, rotation_weight_m2)
     trajectory = _sampled(curve, rate, settings)
-    per_length = np.maximum(_point_speed(curve.before, body.rho_max_m), _point_speed(curve.after, body.rho_max_m))
+    per_length = np.maximum(
+        _point_speed(curve.before, body.rho_max_m), _point_speed(curve.after, body.rho_max_m)
+    )
     steps_m = np.linalg.norm(np.diff(curve.poses[:, :3], axis=0), axis=1)
     profile = SpeedProfile(
         np.append(0.0, np.cumsum(steps_m)), clearance_m, allowed_mps, rate * per_length, curve.poses
