@@ -7,7 +7,7 @@ import dagster as dg
 from assets.interfaces import Store, Tracker
 from assets.progress import progress_of
 from assets.reporting import inline_picture
-from deltasafe.perception.training import TrainingSettings
+from deltasafe.perception.settings import TrainingSettings
 
 __all__ = ["train_and_record"]
 
@@ -46,7 +46,12 @@ def train_and_record(
     tracker.member(member.ensemble_identity, name, {**settings_of(settings), "seed": seed}, losses)
     final = sum(losses[-20:]) / len(losses[-20:])
     context.add_asset_metadata(
-        {"seed": seed, "final loss": final, "steps": len(losses), "loss": inline_picture(folder / "loss.png")},
+        {
+            "seed": seed,
+            "final loss": final,
+            "steps": len(losses),
+            "loss": inline_picture(folder / "loss.png"),
+        },
         partition_key=name,
     )
     return folder

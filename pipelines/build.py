@@ -4,10 +4,10 @@ import pathlib
 from collections.abc import Mapping
 from typing import Any
 
-import dagster as dg
-
 import assets.checks
 import assets.motion
+import dagster as dg
+
 import assets.perception
 from pipelines import jobs
 from pipelines.console import progress_console

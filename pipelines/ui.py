@@ -26,7 +26,10 @@ def main() -> int:
         [*mlflow, "--host", "127.0.0.1", "--port", str(options.mlflow_port)],
     ]
     print(f"Dagster: http://127.0.0.1:{options.port}")
-    print(f"MLflow:  http://127.0.0.1:{options.mlflow_port}/#/experiments?workflowType=machine_learning", flush=True)
+    print(
+        f"MLflow:  http://127.0.0.1:{options.mlflow_port}/#/experiments?workflowType=machine_learning",
+        flush=True,
+    )
     running = [subprocess.Popen(command, cwd=PROJECT, start_new_session=True) for command in commands]
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:

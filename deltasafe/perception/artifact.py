@@ -1,11 +1,11 @@
 """The frozen ensemble: a folder named by its content, verified before it is used, loaded without pickle.
 
-    manifest.json         format, M, class, preprocessing, network, seeds, digests of data, code and files
-    member-*.safetensors  weights
-    calibration.json      what the test images say about its probabilities
-    golden.npz            one image and the answer that it must give
-    ensemble.onnx         the whole ensemble as one program, for projects that do not install this package
-    model_card.md         what it is, how it was judged, where it fails
+manifest.json         format, M, class, preprocessing, network, seeds, digests of data, code and files
+member-*.safetensors  weights
+calibration.json      what the test images say about its probabilities
+golden.npz            one image and the answer that it must give
+ensemble.onnx         the whole ensemble as one program, for projects that do not install this package
+model_card.md         what it is, how it was judged, where it fails
 """
 
 import dataclasses
@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.perception.calibration import Calibration
-from deltasafe.perception.ensemble import Ensemble, InferenceSettings
+from deltasafe.perception.ensemble import Ensemble
 from deltasafe.perception.member import Member, load_network
 from deltasafe.perception.model_card import model_card
-from deltasafe.perception.network import NetworkSettings
 from deltasafe.perception.onnx_export import export_onnx
+from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.storage import atomic_file, atomic_folder, read_json, sha256_of_file, write_json
 
 __all__ = ["FORMAT_VERSION", "FrozenEnsemble", "freeze_ensemble", "load_ensemble", "verify_artifact"]
@@ -73,7 +73,9 @@ def freeze_ensemble(
         SettingsError: no members, or members of different networks, or a calibration of another M.
     """
     if not members or any(member.network_settings != members[0].network_settings for member in members):
-        raise SettingsError("an ensemble is frozen from at least one member, all of the same network settings")
+        raise SettingsError(
+            "an ensemble is frozen from at least one member, all of the same network settings"
+        )
     if calibration.n_members != len(members):
         raise SettingsError(
             f"the calibration is of {calibration.n_members} members, but {len(members)} are to be frozen"

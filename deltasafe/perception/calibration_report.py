@@ -155,6 +155,19 @@ class CalibrationReport:
             level=self.settings.level,
         )
 
+    def figures(self) -> dict[str, float]:
+        """The figures of the whole ensemble by short name, for trackers and tables."""
+        final, supported = self.ensembles[-1], self.smallest_supported_delta
+        return {
+            "pa": final.scores.pixel_accuracy,
+            "miou": final.scores.miou,
+            "nll": final.scores.nll,
+            "bs": final.scores.brier,
+            "ece": final.expected_calibration_error,
+            "n_members": self.n_members,
+            **({} if supported is None else {"smallest_supported_delta": supported}),
+        }
+
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "CalibrationReport":
         """Read ``report.json`` of a folder written by `write_calibration_report`.

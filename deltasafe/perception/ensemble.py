@@ -1,8 +1,5 @@
 """Uniformly weighted mixture of M members: p_occupied of every pixel (section III-B)."""
 
-import dataclasses
-import math
-
 import cv2
 import numpy as np
 import torch
@@ -12,34 +9,9 @@ from torch.nn import functional
 
 from deltasafe.errors import SettingsError
 from deltasafe.perception.network import SegmentationNetwork
+from deltasafe.perception.settings import InferenceSettings
 
-__all__ = ["Ensemble", "InferenceSettings"]
-
-_STRIDE = 16
-
-
-@dataclasses.dataclass(frozen=True)
-class InferenceSettings:
-    """At which resolution the networks look at an image.
-
-    An image of any size is scaled to about ``width`` x ``height`` pixels in area, its aspect ratio kept up to
-    rounding to multiples of 16; logits are scaled back to the size of the image.
-    """
-
-    width: int = 256
-    height: int = 192
-
-    def __post_init__(self) -> None:
-        if self.width < 2 * _STRIDE or self.height < 2 * _STRIDE:
-            raise SettingsError(f"inference size must be at least 32 x 32, got {self.width} x {self.height}")
-
-    def network_size(self, height: int, width: int) -> tuple[int, int]:
-        """(height, width) that the networks see for an image of ``height`` x ``width`` pixels."""
-        scale = math.sqrt(self.width * self.height / (width * height))
-        return (
-            max(2, round(height * scale / _STRIDE)) * _STRIDE,
-            max(2, round(width * scale / _STRIDE)) * _STRIDE,
-        )
+__all__ = ["Ensemble", "probability"]
 
 
 class Ensemble:
@@ -91,7 +63,9 @@ class Ensemble:
         """(1, 3, h, w) uint8: the image at the resolution of the networks."""
         height, width = self.settings.network_size(*rgb.shape[:2])
         shrinks = height * width < rgb.shape[0] * rgb.shape[1]
-        scaled = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+        scaled = cv2.resize(
+            rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        )
         return torch.from_numpy(np.ascontiguousarray(scaled)).permute(2, 0, 1)[None]
 
 

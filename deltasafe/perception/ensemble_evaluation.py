@@ -10,11 +10,12 @@ from deltasafe.errors import SettingsError
 from deltasafe.perception.artifact import freeze_ensemble
 from deltasafe.perception.calibration_report import CalibrationReport, CalibrationSettings
 from deltasafe.perception.calibration_writing import write_calibration_report
-from deltasafe.perception.ensemble import Ensemble, InferenceSettings
+from deltasafe.perception.ensemble import Ensemble
 from deltasafe.perception.evaluation import calibrate
 from deltasafe.perception.hands import HandSet
 from deltasafe.perception.member import Member
 from deltasafe.perception.predictions import MemberPredictions
+from deltasafe.perception.settings import InferenceSettings
 from deltasafe.perception.training import pick_device
 from deltasafe.progress import Progress, silent
 from deltasafe.storage import read_json, write_json

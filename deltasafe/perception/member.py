@@ -7,7 +7,8 @@ from typing import Any
 from torch import nn
 
 from deltasafe.errors import ArtifactError, DataError
-from deltasafe.perception.network import NetworkSettings, SegmentationNetwork, build_network
+from deltasafe.perception.network import SegmentationNetwork, build_network
+from deltasafe.perception.settings import NetworkSettings
 from deltasafe.storage import atomic_file, read_json, sha256_of_file, write_json
 
 __all__ = ["Member"]

@@ -1,51 +1,19 @@
 """DeepLabv3 and DeepLabv3+ on named backbones: RGB in, one logit of occupancy per pixel out (section III-A)."""
 
-import dataclasses
 import pathlib
 import re
-from typing import Literal, TypeAlias, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from deltasafe.errors import SettingsError
+from deltasafe.perception.settings import NetworkSettings
 
-__all__ = ["ARCHITECTURES", "BACKBONES", "NetworkSettings", "SegmentationNetwork", "build_network"]
-
-Architecture: TypeAlias = Literal["deeplabv3", "deeplabv3plus"]
-ARCHITECTURES = ("deeplabv3", "deeplabv3plus")
-BACKBONES = ("efficientnet_lite0", "mobilenet_v3_large", "resnet50")
+__all__ = ["SegmentationNetwork", "build_network", "pretrained_weights_at_hand"]
 
 _IMAGENET_MEAN = (0.485, 0.456, 0.406)
 _IMAGENET_SD = (0.229, 0.224, 0.225)
-
-
-@dataclasses.dataclass(frozen=True)
-class NetworkSettings:
-    """Which network every member is an instance of.
-
-    Attributes:
-        architecture: ``deeplabv3`` (atrous pyramid alone, as in the paper) or ``deeplabv3plus`` (with a skip
-            from stride 4, which halves the error between fingers).
-        backbone: one of `BACKBONES`.
-        pretrained: begin from ImageNet weights where an installed package or a local cache holds them
-            (never downloaded); the head is random for each member either way.
-        pyramid_channels: width of the atrous pyramid; torchvision's default is 256.
-    """
-
-    architecture: str = "deeplabv3plus"
-    backbone: str = "efficientnet_lite0"
-    pretrained: bool = True
-    pyramid_channels: int = 128
-
-    def __post_init__(self) -> None:
-        if self.architecture not in ARCHITECTURES:
-            raise SettingsError(f"architecture must be one of {ARCHITECTURES}, got {self.architecture!r}")
-        if self.backbone not in BACKBONES:
-            raise SettingsError(f"backbone must be one of {BACKBONES}, got {self.backbone!r}")
-        if self.pyramid_channels < 1:
-            raise SettingsError(f"pyramid_channels must be positive, got {self.pyramid_channels}")
 
 
 class SegmentationNetwork(nn.Module):
@@ -67,7 +35,9 @@ class SegmentationNetwork(nn.Module):
         self.skip: nn.Module | None = None
         if settings.architecture == "deeplabv3plus":
             self.skip = _convolution(low_channels, 32, size=1)
-            self.decoder = nn.Sequential(_convolution(width + 32, 96), _convolution(96, 96), nn.Conv2d(96, 1, 1))
+            self.decoder = nn.Sequential(
+                _convolution(width + 32, 96), _convolution(96, 96), nn.Conv2d(96, 1, 1)
+            )
         else:
             self.decoder = nn.Sequential(_convolution(width, width), nn.Conv2d(width, 1, 1))
 
@@ -116,7 +86,11 @@ def _backbone(settings: NetworkSettings) -> tuple[nn.Module, int, int]:
         import timm
 
         body = timm.create_model(
-            "tf_efficientnet_lite0", features_only=True, output_stride=16, out_indices=(1, 4), pretrained=False
+            "tf_efficientnet_lite0",
+            features_only=True,
+            output_stride=16,
+            out_indices=(1, 4),
+            pretrained=False,
         )
         if settings.pretrained:
             body.load_state_dict(_efficientnet_lite0_weights(), strict=True)
@@ -163,7 +137,8 @@ def _load_cached(model: nn.Module, url: str, prefix: str) -> None:
     state = torch.load(file, map_location="cpu", weights_only=True)
     kept = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
     model.load_state_dict(
-        {key: value for key, value in kept.items() if not key.startswith(("fc.", "classifier."))}, strict=False
+        {key: value for key, value in kept.items() if not key.startswith(("fc.", "classifier."))},
+        strict=False,
     )
 
 

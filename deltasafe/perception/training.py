@@ -21,63 +21,17 @@ from deltasafe.errors import SettingsError
 from deltasafe.perception.augmented_set import AugmentedSet
 from deltasafe.perception.checkpoint import Checkpoint
 from deltasafe.perception.member import Member
-from deltasafe.perception.network import NetworkSettings, build_network, pretrained_weights_at_hand
+from deltasafe.perception.network import build_network, pretrained_weights_at_hand
+from deltasafe.perception.settings import TrainingSettings
 from deltasafe.storage import digest_of
 
 __all__ = [
     "StepReport",
-    "TrainingSettings",
     "learning_rate",
     "pick_device",
     "train_member",
     "training_identity",
 ]
-
-SCHEDULES = ("one_cycle", "exponential")
-PRECISIONS = ("float32", "bfloat16")
-
-
-@dataclasses.dataclass(frozen=True)
-class TrainingSettings:
-    """How a member is trained; what was measured with the defaults stands in docs/results.
-
-    Attributes:
-        network: the network of every member.
-        epochs: passes over the augmented set, reshuffled before each.
-        batch_size: images a step.
-        peak_learning_rate: of AdamW; ``one_cycle`` rises to it over the first quarter and falls to zero,
-            ``exponential`` starts there and is multiplied by ``epoch_decay`` after each epoch.
-        weight_decay: of AdamW (decoupled); 0 is Adam.
-        precision: ``float32``, or ``bfloat16`` autocast (pays on GPUs and on CPUs with AMX).
-        checkpoint_every_steps: a killed training loses at most so many steps.
-    """
-
-    network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
-    epochs: int = 4
-    batch_size: int = 8
-    peak_learning_rate: float = 2e-3
-    schedule: str = "one_cycle"
-    epoch_decay: float = 0.8
-    weight_decay: float = 1e-4
-    precision: str = "float32"
-    checkpoint_every_steps: int = 60
-
-    def __post_init__(self) -> None:
-        for name in ("epochs", "checkpoint_every_steps"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.batch_size < 2:
-            raise SettingsError(f"batch_size must be at least 2 (batch normalisation), got {self.batch_size}")
-        if not (math.isfinite(self.peak_learning_rate) and self.peak_learning_rate > 0):
-            raise SettingsError(f"peak_learning_rate must be positive, got {self.peak_learning_rate}")
-        if self.schedule not in SCHEDULES:
-            raise SettingsError(f"schedule must be one of {SCHEDULES}, got {self.schedule!r}")
-        if not 0 < self.epoch_decay <= 1:
-            raise SettingsError(f"epoch_decay must lie in (0, 1], got {self.epoch_decay}")
-        if not self.weight_decay >= 0:
-            raise SettingsError(f"weight_decay must not be negative, got {self.weight_decay}")
-        if self.precision not in PRECISIONS:
-            raise SettingsError(f"precision must be one of {PRECISIONS}, got {self.precision!r}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,7 +54,9 @@ def learning_rate(settings: TrainingSettings, step: int, steps_per_epoch: int) -
     turn = max(1, round(0.25 * n_steps))
     if step < turn:
         return settings.peak_learning_rate * (0.04 + 0.96 * (1 - math.cos(math.pi * (step + 1) / turn)) / 2)
-    return settings.peak_learning_rate * (1 + math.cos(math.pi * (step + 1 - turn) / (n_steps - turn + 1))) / 2
+    return (
+        settings.peak_learning_rate * (1 + math.cos(math.pi * (step + 1 - turn) / (n_steps - turn + 1))) / 2
+    )
 
 
 def pick_device(name: str = "auto") -> torch.device:

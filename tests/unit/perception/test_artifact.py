@@ -12,9 +12,10 @@ from deltasafe.cli import main
 from deltasafe.errors import ArtifactError, SettingsError
 from deltasafe.perception.artifact import freeze_ensemble, golden_difference, load_ensemble, verify_artifact
 from deltasafe.perception.calibration import Calibration
-from deltasafe.perception.ensemble import Ensemble, InferenceSettings
+from deltasafe.perception.ensemble import Ensemble
 from deltasafe.perception.member import Member
-from deltasafe.perception.network import NetworkSettings, build_network
+from deltasafe.perception.network import build_network
+from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 
 NETWORK = NetworkSettings(pretrained=False, pyramid_channels=16)
 INFERENCE = InferenceSettings(64, 48)
@@ -40,7 +41,9 @@ def members(tmp_path_factory):
 
     record = {"settings": {"network": dataclasses.asdict(NETWORK)}, "data_digest": "d" * 64}
     return [
-        Member.write(tmp_path_factory.mktemp("member"), build_network(NETWORK, seed), {**record, "seed": seed})
+        Member.write(
+            tmp_path_factory.mktemp("member"), build_network(NETWORK, seed), {**record, "seed": seed}
+        )
         for seed in range(2)
     ]
 
@@ -74,7 +77,9 @@ def test_any_size_is_answered_with_probabilities(frozen, size):
 
 
 @pytest.mark.parametrize(
-    "wrong", [image().astype(np.float32), image()[..., 0], np.zeros((0, 4, 3), np.uint8)], ids=["f32", "2d", "none"]
+    "wrong",
+    [image().astype(np.float32), image()[..., 0], np.zeros((0, 4, 3), np.uint8)],
+    ids=["f32", "2d", "none"],
 )
 def test_what_is_no_image_is_refused(members, wrong):
     with pytest.raises(SettingsError, match="uint8"):

@@ -3,6 +3,9 @@
 import dataclasses
 import json
 import math
+import pathlib
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -101,9 +104,7 @@ def test_an_arm_goes_on_in_its_own_direction(angle_rad: float, scale: float) -> 
     axis = np.array([math.sin(angle_rad), math.cos(angle_rad)])
     start = np.array([64.0, 30.0])
     end = start + 200 * axis
-    cv2.line(
-        mask, tuple(np.rint(start).astype(int).tolist()), tuple(np.rint(end).astype(int).tolist()), 1, 16
-    )
+    cv2.line(mask, tuple(np.rint(start).astype(int).tolist()), tuple(np.rint(end).astype(int).tolist()), 1, 16)
     cv2.circle(mask, (64, 30), 20, 1, -1)
     arm = Arm.of(mask)
     assert arm is not None
@@ -189,9 +190,7 @@ def test_variants_differ_and_repeat_exactly() -> None:
 def test_originals_of_any_size_give_images_of_the_stored_size(height: int, width: int) -> None:
     mask = np.zeros((height, width), np.uint8)
     mask[height // 4 :, width // 4 : width // 2] = 1
-    made = augment(
-        "any", cut_out(painted(mask, (200, 150, 120), (9, 9, 9)), mask, SMALL), 0, Backgrounds(), SMALL
-    )
+    made = augment("any", cut_out(painted(mask, (200, 150, 120), (9, 9, 9)), mask, SMALL), 0, Backgrounds(), SMALL)
     assert made.image.shape == (48, 64, 3)
     assert made.mask.shape == (48, 64)
     assert made.image.dtype == made.mask.dtype == np.uint8
@@ -200,9 +199,7 @@ def test_originals_of_any_size_give_images_of_the_stored_size(height: int, width
 
 @given(seed=st.integers(0, 2**32), x=st.integers(5, 80), y=st.integers(5, 60))
 @settings(max_examples=50, deadline=None)
-def test_erased_boxes_are_a_tenth_to_three_tenths_of_each_side_and_aim_at_the_hand(
-    seed: int, x: int, y: int
-) -> None:
+def test_erased_boxes_are_a_tenth_to_three_tenths_of_each_side_and_aim_at_the_hand(seed: int, x: int, y: int) -> None:
     mask = np.zeros((100, 120), np.uint8)
     mask[y : y + 20, x : x + 30] = 1
     picture = np.zeros((100, 120, 3), np.uint8)
@@ -273,3 +270,13 @@ def test_backgrounds_are_read_once_and_named(tmp_path) -> None:
 def test_settings_outside_their_domain_are_refused(changes: dict, says: str) -> None:
     with pytest.raises(SettingsError, match=says):
         AugmentationSettings(**changes)
+
+
+def test_every_public_name_exists_and_settings_need_no_opencv() -> None:
+    import deltasafe.perception.augmentation as package
+
+    assert all(getattr(package, name).__name__ == name for name in package.__all__ if name != "METHOD_NAMES")
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = package.nothing
+    program = "import sys; from deltasafe.perception.augmentation import AugmentationSettings; assert 'cv2' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=pathlib.Path(__file__).parents[3])

@@ -2,7 +2,8 @@ import pytest
 import torch
 
 from deltasafe.errors import SettingsError
-from deltasafe.perception.network import ARCHITECTURES, BACKBONES, NetworkSettings, build_network
+from deltasafe.perception.network import build_network
+from deltasafe.perception.settings import ARCHITECTURES, BACKBONES, NetworkSettings
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
@@ -32,7 +33,10 @@ def test_packaged_weights_fill_the_whole_backbone_and_classify_alike_for_all_mem
     first, second = (build_network(NetworkSettings(), seed) for seed in (1, 2))
     random = build_network(NetworkSettings(pretrained=False), 1)
     for (name, a), b, r in zip(
-        first.backbone.named_parameters(), second.backbone.parameters(), random.backbone.parameters(), strict=True
+        first.backbone.named_parameters(),
+        second.backbone.parameters(),
+        random.backbone.parameters(),
+        strict=True,
     ):
         assert torch.equal(a, b), name
         assert not torch.equal(a, r), name

@@ -8,8 +8,8 @@ import torch
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.perception.augmented_set import AugmentedSet
 from deltasafe.perception.member import Member
-from deltasafe.perception.network import NetworkSettings
-from deltasafe.perception.training import TrainingSettings, learning_rate, train_member
+from deltasafe.perception.settings import NetworkSettings, TrainingSettings
+from deltasafe.perception.training import learning_rate, train_member
 
 SMALL = TrainingSettings(
     NetworkSettings(pretrained=False, pyramid_channels=16), epochs=2, batch_size=4, checkpoint_every_steps=3
@@ -148,7 +148,13 @@ def test_exponential_decay_is_a_step_an_epoch():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"epochs": 0}, {"batch_size": 1}, {"schedule": "cosine"}, {"peak_learning_rate": 0.0}, {"precision": "int8"}],
+    [
+        {"epochs": 0},
+        {"batch_size": 1},
+        {"schedule": "cosine"},
+        {"peak_learning_rate": 0.0},
+        {"precision": "int8"},
+    ],
     ids=str,
 )
 def test_settings_outside_their_domain_are_refused(wrong):

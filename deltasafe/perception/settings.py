@@ -1,0 +1,109 @@
+"""What can be chosen about network, training and inference; free of torch, so that a UI can show it at once."""
+
+import dataclasses
+import math
+
+from deltasafe.errors import SettingsError
+
+__all__ = ["ARCHITECTURES", "BACKBONES", "InferenceSettings", "NetworkSettings", "TrainingSettings"]
+
+ARCHITECTURES = ("deeplabv3", "deeplabv3plus")
+BACKBONES = ("efficientnet_lite0", "mobilenet_v3_large", "resnet50")
+PRECISIONS = ("float32", "bfloat16")
+SCHEDULES = ("one_cycle", "exponential")
+
+_STRIDE = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class NetworkSettings:
+    """Which network every member is an instance of.
+
+    Attributes:
+        architecture: ``deeplabv3`` (atrous pyramid alone, as in the paper) or ``deeplabv3plus`` (with a skip
+            from stride 4, which halves the error between fingers).
+        backbone: one of `BACKBONES`.
+        pretrained: begin from ImageNet weights where an installed package or a local cache holds them
+            (never downloaded); the head is random for each member either way.
+        pyramid_channels: width of the atrous pyramid; torchvision's default is 256.
+    """
+
+    architecture: str = "deeplabv3plus"
+    backbone: str = "efficientnet_lite0"
+    pretrained: bool = True
+    pyramid_channels: int = 128
+
+    def __post_init__(self) -> None:
+        if self.architecture not in ARCHITECTURES:
+            raise SettingsError(f"architecture must be one of {ARCHITECTURES}, got {self.architecture!r}")
+        if self.backbone not in BACKBONES:
+            raise SettingsError(f"backbone must be one of {BACKBONES}, got {self.backbone!r}")
+        if self.pyramid_channels < 1:
+            raise SettingsError(f"pyramid_channels must be positive, got {self.pyramid_channels}")
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingSettings:
+    """How a member is trained; what was measured with the defaults stands in docs/results.
+
+    Attributes:
+        network: the network of every member.
+        epochs: passes over the augmented set, reshuffled before each.
+        batch_size: images a step.
+        peak_learning_rate: of AdamW; ``one_cycle`` rises to it over the first quarter and falls to zero,
+            ``exponential`` starts there and is multiplied by ``epoch_decay`` after each epoch.
+        weight_decay: of AdamW (decoupled); 0 is Adam.
+        precision: ``float32``, or ``bfloat16`` autocast (pays on GPUs and on CPUs with AMX).
+        checkpoint_every_steps: a killed training loses at most so many steps.
+    """
+
+    network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
+    epochs: int = 4
+    batch_size: int = 8
+    peak_learning_rate: float = 2e-3
+    schedule: str = "one_cycle"
+    epoch_decay: float = 0.8
+    weight_decay: float = 1e-4
+    precision: str = "float32"
+    checkpoint_every_steps: int = 60
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "checkpoint_every_steps"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.batch_size < 2:
+            raise SettingsError(f"batch_size must be at least 2 (batch normalisation), got {self.batch_size}")
+        if not (math.isfinite(self.peak_learning_rate) and self.peak_learning_rate > 0):
+            raise SettingsError(f"peak_learning_rate must be positive, got {self.peak_learning_rate}")
+        if self.schedule not in SCHEDULES:
+            raise SettingsError(f"schedule must be one of {SCHEDULES}, got {self.schedule!r}")
+        if not 0 < self.epoch_decay <= 1:
+            raise SettingsError(f"epoch_decay must lie in (0, 1], got {self.epoch_decay}")
+        if not self.weight_decay >= 0:
+            raise SettingsError(f"weight_decay must not be negative, got {self.weight_decay}")
+        if self.precision not in PRECISIONS:
+            raise SettingsError(f"precision must be one of {PRECISIONS}, got {self.precision!r}")
+
+
+@dataclasses.dataclass(frozen=True)
+class InferenceSettings:
+    """At which resolution the networks look at an image.
+
+    An image of any size is scaled to about ``width`` x ``height`` pixels in area, its aspect ratio kept up to
+    rounding to multiples of 16; logits are scaled back to the size of the image.
+    """
+
+    width: int = 256
+    height: int = 192
+
+    def __post_init__(self) -> None:
+        if self.width < 2 * _STRIDE or self.height < 2 * _STRIDE:
+            raise SettingsError(f"inference size must be at least 32 x 32, got {self.width} x {self.height}")
+
+    def network_size(self, height: int, width: int) -> tuple[int, int]:
+        """(height, width) that the networks see for an image of ``height`` x ``width`` pixels."""
+        scale = math.sqrt(self.width * self.height / (width * height))
+        return (
+            max(2, round(height * scale / _STRIDE)) * _STRIDE,
+            max(2, round(width * scale / _STRIDE)) * _STRIDE,
+        )

@@ -1,0 +1,90 @@
+"""Three named collections of settings, in one place: `smoke`, `default` and `paper`."""
+
+import dataclasses
+import os
+
+from deltasafe.errors import SettingsError
+from deltasafe.execution.simulate import ExecutionSettings
+from deltasafe.perception.augmentation.settings import AugmentationSettings
+from deltasafe.perception.calibration_report import CalibrationSettings, GateThresholds
+from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
+from deltasafe.planning import MotionSettings
+from deltasafe.scene import FieldSettings
+
+__all__ = ["PRESETS", "VARIABLE", "Preset", "active"]
+
+VARIABLE = "DELTASAFE_PRESET"
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """Settings of the whole chain.
+
+    Attributes:
+        n_members: M.
+        n_scenes: logged scenes that are planned and executed, in the order of their names; 0 is all.
+        n_films: executions that are filmed, the shortest clearances first; every failure is filmed too.
+    """
+
+    n_members: int = 5
+    augmentation: AugmentationSettings = AugmentationSettings()
+    training: TrainingSettings = dataclasses.field(default_factory=TrainingSettings)
+    inference: InferenceSettings = InferenceSettings()
+    calibration: CalibrationSettings = CalibrationSettings()
+    gate: GateThresholds = GateThresholds()
+    field: FieldSettings = FieldSettings()
+    # in the paper's experiment the area between path and table is penalised, so that the tool passes near the fingers
+    motion: MotionSettings = dataclasses.field(default_factory=lambda: MotionSettings(cost="area"))
+    execution: ExecutionSettings = dataclasses.field(default_factory=ExecutionSettings)
+    n_scenes: int = 0
+    n_films: int = 3
+
+    def __post_init__(self) -> None:
+        for name, least in (("n_members", 1), ("n_scenes", 0), ("n_films", 0)):
+            if getattr(self, name) < least:
+                raise SettingsError(f"{name} must be at least {least}, got {getattr(self, name)}")
+
+
+PRESETS = {
+    # seconds: shows that every step runs; what it learns is not worth a look, so its gate is open
+    "smoke": Preset(
+        n_members=2,
+        augmentation=AugmentationSettings(n_variants=2, width=96, height=72),
+        training=TrainingSettings(NetworkSettings(pyramid_channels=32), epochs=2),
+        inference=InferenceSettings(128, 96),
+        calibration=CalibrationSettings(n_bootstrap=200, n_folds=5),
+        gate=GateThresholds(pixel_accuracy=0.0, miou=0.0, planning_delta=0.5),
+        motion=MotionSettings(cost="area", delta=0.5),
+        n_scenes=2,
+        n_films=1,
+    ),
+    # half an hour on two cores
+    "default": Preset(),
+    # the paper's network, image size and training recipe (decision 6), M = 10: a GPU's work
+    "paper": Preset(
+        n_members=10,
+        augmentation=AugmentationSettings(width=384, height=288, supersampling=1),
+        training=TrainingSettings(
+            NetworkSettings("deeplabv3", "resnet50", pyramid_channels=256),
+            epochs=3,
+            batch_size=2,
+            peak_learning_rate=2e-4,
+            schedule="exponential",
+            epoch_decay=0.8,
+            weight_decay=0.0,
+        ),
+        inference=InferenceSettings(384, 288),
+    ),
+}
+
+
+def active() -> Preset:
+    """The preset that the environment variable `DELTASAFE_PRESET` names; `default` if it is unset or empty.
+
+    Raises:
+        SettingsError: there is no preset of that name.
+    """
+    name = os.environ.get(VARIABLE) or "default"
+    if name not in PRESETS:
+        raise SettingsError(f"{VARIABLE}={name!r} names no preset; choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]

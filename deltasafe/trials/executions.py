@@ -1,0 +1,114 @@
+"""The planned motion of each scene on the simulated arm, beside the scene's true hand."""
+
+import concurrent.futures
+import dataclasses
+import multiprocessing
+import pathlib
+from collections.abc import Sequence
+
+from deltasafe.errors import DataError, PlanningError, SettingsError
+from deltasafe.execution.recording import Execution
+from deltasafe.execution.simulate import ExecutionSettings, execute
+from deltasafe.progress import Progress, silent
+from deltasafe.scene import LoggedScene
+from deltasafe.storage import atomic_folder, read_json, write_json
+from deltasafe.trials.motions import load_motion
+
+__all__ = ["Outcome", "execute_scenes", "load_execution", "load_outcomes"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """Whether the motion of a scene was executed, and if not, why."""
+
+    scene_id: str
+    executed: bool
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class _Job:
+    scene: LoggedScene
+    motions: pathlib.Path
+    folder: pathlib.Path
+    settings: ExecutionSettings
+    seed: int
+
+
+def execute_scenes(
+    scenes: Sequence[LoggedScene],
+    motions: str | pathlib.Path,
+    folder: str | pathlib.Path,
+    settings: ExecutionSettings,
+    seed: int,
+    *,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> list[Outcome]:
+    """Execute every scene that has a safe motion, into `SCENE/`; the folder appears as a whole.
+
+    A scene without a motion, or with one that the arm cannot follow, is an outcome with its reason.
+
+    Args:
+        motions: folder of `plan_scenes`.
+        seed: draws the arm's friction; scene k uses seed + k. The number of ``workers`` changes nothing.
+    """
+    if workers < 1:
+        raise SettingsError(f"workers must be at least 1, got {workers}")
+    outcomes = []
+    with atomic_folder(folder) as temporary:
+        jobs = [
+            _Job(scene, pathlib.Path(motions), temporary, settings, seed + index) for index, scene in enumerate(scenes)
+        ]
+        pool = concurrent.futures.ProcessPoolExecutor(
+            min(workers, len(jobs)), mp_context=multiprocessing.get_context("spawn")
+        )
+        with pool:
+            for done, outcome in enumerate(pool.map(_execute, jobs), start=1):
+                outcomes.append(outcome)
+                progress(done, len(jobs), f"executed {outcome.scene_id}" + (f": {outcome.reason}" if outcome.reason else ""))
+        write_json(temporary / "outcomes.json", [dataclasses.asdict(outcome) for outcome in outcomes])
+    return outcomes
+
+
+def _execute(job: _Job) -> Outcome:
+    scene = job.scene
+    motion = load_motion(job.motions, scene.id)
+    if motion.trajectory is None:
+        return Outcome(scene.id, False, motion.reason)
+    try:
+        execution = execute(
+            motion.trajectory,
+            scene.true_mesh(),
+            motion.body,
+            job.settings,
+            job.seed,
+            bound=motion.tracking,
+            unsafe_below_m=scene.table_z_m + scene.hand_height_m,
+        )
+    except PlanningError as error:
+        return Outcome(scene.id, False, str(error))
+    execution.save(job.folder / scene.id)
+    return Outcome(scene.id, True, execution.stop_reason)
+
+
+def load_outcomes(folder: str | pathlib.Path) -> list[Outcome]:
+    """What `execute_scenes` returned.
+
+    Raises:
+        DataError: ``folder`` holds no executions.
+    """
+    file = pathlib.Path(folder) / "outcomes.json"
+    try:
+        return [Outcome(**entry) for entry in read_json(file)]
+    except TypeError as error:
+        raise DataError(file, f"is not a list of outcomes ({error}); execute the motions again") from error
+
+
+def load_execution(folder: str | pathlib.Path, scene_id: str) -> Execution:
+    """The recording of a scene.
+
+    Raises:
+        DataError: there is none in ``folder``.
+    """
+    return Execution.load(pathlib.Path(folder) / scene_id)

@@ -1,0 +1,71 @@
+"""What the ensemble sees in each logged scene, and the occupancy field that follows from it."""
+
+import pathlib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import DataError
+from deltasafe.perception.hands import read_rgb
+from deltasafe.progress import Progress, silent
+from deltasafe.scene import FieldSettings, LoggedScene, OccupancyGrid, grid_from_image
+from deltasafe.storage import atomic_folder
+
+if TYPE_CHECKING:
+    from deltasafe.perception.ensemble import Ensemble
+
+__all__ = ["load_field", "load_p_occupied", "write_fields"]
+
+
+def write_fields(
+    ensemble: "Ensemble",
+    scenes: Sequence[LoggedScene],
+    folder: str | pathlib.Path,
+    settings: FieldSettings,
+    progress: Progress = silent,
+) -> None:
+    """For each scene `SCENE/p_occupied.npy` (H, W) float32 and `SCENE/grid.npz`; whole or not at all.
+
+    Raises:
+        DataError: an image is unreadable or not of its camera's size.
+    """
+    with atomic_folder(folder) as temporary:
+        for done, scene in enumerate(scenes, start=1):
+            rgb = read_rgb(scene.image_path)
+            if rgb.shape[:2] != (scene.camera.height, scene.camera.width):
+                raise DataError(
+                    scene.image_path,
+                    f"is {rgb.shape[1]} x {rgb.shape[0]} pixels, its camera has "
+                    f"{scene.camera.width} x {scene.camera.height}",
+                )
+            p_occupied = ensemble.p_occupied(rgb)
+            (temporary / scene.id).mkdir()
+            np.save(temporary / scene.id / "p_occupied.npy", p_occupied, allow_pickle=False)
+            grid = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, settings)
+            grid.save(temporary / scene.id / "grid.npz")
+            progress(done, len(scenes), f"looked at {scene.id}")
+
+
+def load_field(folder: str | pathlib.Path, scene_id: str) -> OccupancyGrid:
+    """The occupancy field of a scene.
+
+    Raises:
+        DataError: there is none in ``folder``.
+    """
+    return OccupancyGrid.load(pathlib.Path(folder) / scene_id / "grid.npz")
+
+
+def load_p_occupied(folder: str | pathlib.Path, scene_id: str) -> NDArray[np.float32]:
+    """(H, W) float32: what the ensemble saw in the image of a scene.
+
+    Raises:
+        DataError: there is none in ``folder``.
+    """
+    file = pathlib.Path(folder) / scene_id / "p_occupied.npy"
+    try:
+        stored: NDArray[np.float32] = np.load(file, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise DataError(file, f"is not readable ({error}); make the occupancy fields again") from error
+    return stored

@@ -1,0 +1,42 @@
+"""All scenes at a glance, with what the ensemble saw in them."""
+
+import pathlib
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from deltasafe.figures.occupancy import occupancy_overlay
+from deltasafe.perception.hands import read_rgb
+from deltasafe.scene import LoggedScene
+from deltasafe.storage import atomic_file
+from deltasafe.trials.fields import load_p_occupied
+
+__all__ = ["overview"]
+
+
+def overview(
+    scenes: Sequence[LoggedScene], fields: pathlib.Path, delta: float, destination: pathlib.Path, columns: int = 5
+) -> pathlib.Path:
+    """All scenes side by side, each with what the ensemble saw in it; a JPEG, returned.
+
+    Args:
+        fields: folder of `deltasafe.trials.fields.write_fields`.
+        delta: threshold of the border that is drawn.
+    """
+    tiles = []
+    for scene in scenes:
+        overlay = occupancy_overlay(read_rgb(scene.image_path), load_p_occupied(fields, scene.id), delta)
+        tile = cv2.resize(overlay, (320, 240), interpolation=cv2.INTER_AREA)
+        cv2.putText(tile, scene.id, (8, 230), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
+        cv2.putText(tile, scene.id, (8, 230), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
+        tiles.append(tile)
+    columns = min(columns, len(tiles))
+    rows = -(-len(tiles) // columns)
+    sheet = np.zeros((rows * 240, columns * 320, 3), np.uint8)
+    for index, tile in enumerate(tiles):
+        row, column = divmod(index, columns)
+        sheet[row * 240 :][:240, column * 320 :][:, :320] = tile
+    with atomic_file(destination) as temporary:
+        temporary.write_bytes(cv2.imencode(".jpg", sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
+    return destination

@@ -1,0 +1,44 @@
+"""Which logged scenes take part: a list of folders, fixed once, so that later steps agree about it."""
+
+import pathlib
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.scene import LoggedScene, load_scenes
+from deltasafe.storage import atomic_folder, read_json, sha256_of_file, write_json
+
+__all__ = ["load_selection", "select_scenes"]
+
+
+def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> tuple[LoggedScene, ...]:
+    """Check the scenes below ``source`` and write down the first ``n_scenes`` (0: all) of them.
+
+    Raises:
+        DataError: a scene is defective, or there is none.
+        SettingsError: ``n_scenes`` is negative or more than there are.
+    """
+    scenes = load_scenes(source)
+    if not 0 <= n_scenes <= len(scenes):
+        raise SettingsError(f"n_scenes must lie between 0 (all) and {len(scenes)}, got {n_scenes}")
+    chosen = scenes[: n_scenes or None]
+    record = [
+        {"folder": str(scene.image_path.parent.resolve()), "image_sha256": sha256_of_file(scene.image_path)}
+        for scene in chosen
+    ]
+    with atomic_folder(folder) as temporary:
+        write_json(temporary / "scenes.json", record)
+    return tuple(chosen)
+
+
+def load_selection(folder: pathlib.Path) -> tuple[LoggedScene, ...]:
+    """The scenes that `select_scenes` chose.
+
+    Raises:
+        DataError: a scene is gone or its image was replaced since.
+    """
+    scenes = []
+    for entry in read_json(folder / "scenes.json"):
+        scene = LoggedScene.load(entry["folder"])
+        if sha256_of_file(scene.image_path) != entry["image_sha256"]:
+            raise DataError(scene.image_path, "was replaced since the scenes were selected; select them again")
+        scenes.append(scene)
+    return tuple(scenes)

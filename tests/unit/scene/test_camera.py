@@ -1,0 +1,61 @@
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deltasafe.errors import SettingsError
+from deltasafe.scene import Camera
+
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def record(**changes: object) -> dict:
+    value = {"width": 640, "height": 480, "fx": 768.75, "fy": 768.75, "cx": 320.0, "cy": 240.0}
+    value |= {"position_m": [0.0, 0.0, 0.5], "world_from_camera_rotation": DOWN.tolist()}
+    return value | changes
+
+
+def test_closed_form_of_a_camera_that_looks_straight_down() -> None:
+    uv, depth_m = Camera.from_json(record()).project(np.array([[0.1, 0.05, 0.0], [0.0, 0.0, 0.1]]))
+    np.testing.assert_allclose(uv, [[320 + 768.75 * 0.2, 240 - 768.75 * 0.1], [320, 240]])
+    np.testing.assert_allclose(depth_m, [0.5, 0.4])
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(0.0, 0.2), st.floats(-0.5, 0.5))
+def test_pixels_and_planes_are_inverse(x: float, y: float, z: float, tilt: float) -> None:
+    cos, sin = np.cos(tilt), np.sin(tilt)
+    rotation = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]) @ DOWN
+    camera = Camera.from_json(record(world_from_camera_rotation=rotation.tolist()))
+    uv, depth_m = camera.project(np.array([[x, y, z]]))
+    assert depth_m[0] > 0
+    np.testing.assert_allclose(camera.pixel_to_plane(uv, z), [[x, y, z]], atol=1e-12)
+
+
+def test_points_behind_the_camera_have_no_pixel() -> None:
+    uv, depth_m = Camera.from_json(record()).project(np.array([[0.0, 0.0, 0.6]]))
+    assert np.isnan(uv).all()
+    assert depth_m[0] < 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"fx": -1.0}, "focal"),
+        ({"width": 0}, "width"),
+        ({"cx": "a"}, "not a number"),
+        ({"position_m": [0, 0]}, "position_m"),
+        ({"world_from_camera_rotation": np.eye(3).tolist()[::-1]}, "rotation"),
+        ({"extra": 1}, "extra"),
+    ],
+)
+def test_defects_are_named(changes: dict, words: str) -> None:
+    with pytest.raises(SettingsError, match=words):
+        Camera.from_json(json.loads(json.dumps(record(**changes))))
+
+
+def test_rays_above_the_horizon_meet_no_table() -> None:
+    camera = Camera.from_json(record(world_from_camera_rotation=np.diag([1.0, 1.0, 1.0]).tolist()))
+    with pytest.raises(SettingsError, match="do not all meet"):
+        camera.pixel_to_plane(np.array([[320.0, 240.0]]), 0.0)

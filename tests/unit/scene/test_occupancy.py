@@ -1,0 +1,108 @@
+import pathlib
+
+import numpy as np
+import pytest
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.scene import (
+    Camera,
+    Cuboid,
+    FieldSettings,
+    OccupancyGrid,
+    Sphere,
+    grid_from_image,
+    grid_from_shapes,
+    p_occupied_near,
+)
+
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def camera(tilt: float = 0.0) -> Camera:
+    cos, sin = np.cos(tilt), np.sin(tilt)
+    rotation = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]) @ DOWN
+    return Camera(160, 120, 192.0, 192.0, 80.0, 60.0, np.array([0.0, 0.0, 0.5]), rotation)
+
+
+def test_outside_is_free_above_and_occupied_elsewhere() -> None:
+    grid = OccupancyGrid(np.full((2, 2, 2), 0.25, np.float32), np.zeros(3), 0.1)
+    points = [[0.1, 0.1, 0.1], [0.1, 0.1, 0.21], [9, 9, 0.21], [0.3, 0.1, 0.1], [-0.01, 0.1, 0.1], [0.1, 0.1, -0.01]]
+    assert grid.at(np.array(points)).tolist() == [0.25, 0, 0, 1, 1, 1]
+
+
+def test_a_grid_survives_storage(tmp_path: pathlib.Path) -> None:
+    grid = OccupancyGrid(np.random.default_rng(0).random((3, 4, 5)), np.array([0.1, 0.2, 0.3]), 0.004)
+    grid.save(tmp_path / "grid.npz")
+    again = OccupancyGrid.load(tmp_path / "grid.npz")
+    assert (again.p_occupied == grid.p_occupied).all()
+    assert (again.origin_m == grid.origin_m).all()
+    assert again.voxel_m == grid.voxel_m
+    (tmp_path / "grid.npz").write_bytes(b"no zip")
+    with pytest.raises(DataError, match="not an occupancy grid"):
+        OccupancyGrid.load(tmp_path / "grid.npz")
+
+
+@pytest.mark.parametrize("value", [np.nan, -0.1, 1.1])
+def test_what_is_no_probability_is_refused(value: float) -> None:
+    with pytest.raises(SettingsError, match="p_occupied"):
+        OccupancyGrid(np.full((2, 2, 2), value, np.float32), np.zeros(3), 0.1)
+    with pytest.raises(SettingsError, match="p_occupied"):
+        grid_from_image(np.full((120, 160), value, np.float32), camera(), 0.0, 0.05)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_every_ray_carries_its_pixel_up_to_the_top(tilt: float) -> None:
+    """Closed form: the field at any seen point is at least the pixel it projects to, and free above the top."""
+    rng = np.random.default_rng(1)
+    image = (rng.random((120, 160)) ** 4).astype(np.float32)
+    view = camera(tilt)
+    settings = FieldSettings(voxel_m=0.004)
+    grid = grid_from_image(image, view, 0.0, 0.06, settings)
+    assert grid.upper_m[2] == pytest.approx(0.072)  # 0.06 + 0.01, rounded up to whole voxels
+    points = rng.uniform(grid.origin_m, grid.upper_m, (20000, 3))
+    uv, _ = view.project(points)
+    seen = (uv[:, 0] > 0) & (uv[:, 0] < 160) & (uv[:, 1] > 0) & (uv[:, 1] < 120)
+    p_occupied = grid.at(points)
+    columns, rows = np.floor(uv[seen]).astype(int).T
+    assert seen.sum() > 5000
+    assert (p_occupied[seen] >= image[rows, columns]).all()
+    assert (p_occupied[~seen] == 1).all()
+    assert (grid.at(points + [0, 0, 0.08]) == 0).all()
+
+
+def test_extrusion_follows_the_rays_and_does_not_swell_them() -> None:
+    """A disc of hand in the middle of the image is a cone with its apex in the camera, one voxel and pixel wide."""
+    v, u = np.mgrid[:120, :160] + 0.5
+    radius_px = 30.0
+    image = (np.hypot(u - 80, v - 60) <= radius_px).astype(np.float32)
+    grid = grid_from_image(image, camera(), 0.0, 0.09, FieldSettings(voxel_m=0.004))
+    index = np.argwhere(grid.p_occupied < 2)
+    centres = grid.origin_m + (index + 0.5) * grid.voxel_m
+    cone_m = radius_px / 192.0 * (0.5 - centres[:, 2])
+    off_m = np.hypot(centres[:, 0], centres[:, 1])
+    inside = grid.p_occupied[tuple(index.T)] == 1
+    seen = (np.abs(centres[:, 0]) < 0.15) & (np.abs(centres[:, 1]) < 0.1)
+    assert inside[off_m < cone_m - 0.004].all()
+    # beyond it by at most the box around a voxel's footprint
+    assert not inside[seen & (off_m > cone_m + 0.016)].any()
+
+
+def test_an_image_of_another_size_is_refused() -> None:
+    with pytest.raises(SettingsError, match="camera's size"):
+        grid_from_image(np.zeros((10, 10), np.float32), camera(), 0.0, 0.05)
+
+
+def test_decay_is_linear_and_noisy_or_joins() -> None:
+    sphere, cuboid = Sphere((0, 0, 0), 0.1), Cuboid((0.5, 0, 0), (0.1, 0.2, 0.1), np.pi / 2)
+    points = np.array([[0.0, 0, 0], [0.15, 0, 0], [0.2, 0, 0], [0.25, 0, 0], [0.5, 0.05, 0.15]])
+    near = p_occupied_near([sphere, cuboid], 0.1, points)
+    np.testing.assert_allclose(near, [1, 0.5, 0, 1 - 0.5, 0.5], atol=1e-12)
+    both = p_occupied_near([sphere, Sphere((0.3, 0, 0), 0.1)], 0.1, np.array([[0.15, 0, 0]]))
+    np.testing.assert_allclose(both, 1 - 0.5 * 0.5)
+
+
+def test_a_grid_of_shapes_bounds_them() -> None:
+    shapes = [Sphere((0.05, 0.05, 0.05), 0.02), Cuboid((0.1, 0.1, 0.02), (0.02, 0.01, 0.02), 0.4)]
+    grid = grid_from_shapes(shapes, 0.01, (0, 0, 0), (0.15, 0.15, 0.1), 0.004)
+    points = np.random.default_rng(0).uniform(0, (0.15, 0.15, 0.1), (20000, 3))
+    assert (grid.at(points) >= p_occupied_near(shapes, 0.01, points) - 1e-6).all()
