@@ -1,12 +1,24 @@
 """Massive augmentation (section III-C of the paper): eight methods on image and mask together.
 
-`augment` makes one new image; `deltasafe.perception.augmented_set` makes and stores them all.
+`augment` makes one new image; `deltasafe.perception.augmented_set` makes and stores them all. The settings are
+at hand without OpenCV, so that a pipeline can name them; all else is imported when first asked for.
 """
 
-from deltasafe.perception.augmentation.background import Backgrounds, draw_background
-from deltasafe.perception.augmentation.cutout import Arm, CutOut
-from deltasafe.perception.augmentation.scheme import Augmented, augment, chosen_methods, cut_out, image_seed
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from deltasafe.perception.augmentation.settings import METHOD_NAMES, AugmentationSettings
+
+if TYPE_CHECKING:
+    from deltasafe.perception.augmentation.background import Backgrounds, draw_background
+    from deltasafe.perception.augmentation.cutout import Arm, CutOut
+    from deltasafe.perception.augmentation.scheme import (
+        Augmented,
+        augment,
+        chosen_methods,
+        cut_out,
+        image_seed,
+    )
 
 __all__ = [
     "METHOD_NAMES",
@@ -21,3 +33,11 @@ __all__ = [
     "draw_background",
     "image_seed",
 ]
+
+_HOMES = {"Backgrounds": "background", "draw_background": "background", "Arm": "cutout", "CutOut": "cutout"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return getattr(importlib.import_module(f"{__name__}.{_HOMES.get(name, 'scheme')}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

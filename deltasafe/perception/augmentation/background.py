@@ -79,9 +79,7 @@ def draw_background(
     return np.clip(picture, 0.0, 1.0).astype(np.float32), recipe
 
 
-def _one(
-    rng: np.random.Generator, backgrounds: Backgrounds, width: int, height: int
-) -> tuple[np.ndarray, str]:
+def _one(rng: np.random.Generator, backgrounds: Backgrounds, width: int, height: int) -> tuple[np.ndarray, str]:
     if not backgrounds.pictures or rng.random() >= PHOTOGRAPH_SHARE:
         return surface(rng, width, height)
     index = int(rng.integers(len(backgrounds.pictures)))

@@ -31,9 +31,7 @@ def colour_hand(
     return np.clip(rgb, 0.0, 1.0).astype(np.float32), drawn
 
 
-def colour_picture(
-    rng: np.random.Generator, picture: np.ndarray
-) -> tuple[np.ndarray, dict[str, float | int]]:
+def colour_picture(rng: np.random.Generator, picture: np.ndarray) -> tuple[np.ndarray, dict[str, float | int]]:
     """Another camera for the whole picture ``(H, W, 3)`` float32, from white balance to vignette."""
     height, width = picture.shape[:2]
     warm, green = float(rng.normal(0, 0.13)), float(rng.normal(0, 0.05))

@@ -45,9 +45,7 @@ def degrade(rng: np.random.Generator, picture: np.ndarray) -> tuple[np.ndarray, 
     return picture, drawn
 
 
-def erase(
-    rng: np.random.Generator, picture: np.ndarray, mask: np.ndarray
-) -> tuple[np.ndarray, dict[str, object]]:
+def erase(rng: np.random.Generator, picture: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, dict[str, object]]:
     """Fill a box of 10 to 30 % of each side of the picture, about a point of the hand's bounding box, with
     noise.
 
@@ -60,9 +58,7 @@ def erase(
     size = np.maximum(1, np.rint(rng.uniform(*ERASED_SHARE, 2) * (width, height))).astype(int)
     left, top = np.clip(np.rint(middle - size / 2).astype(int), 0, np.array([width, height]) - size)
     picture = picture.copy()
-    picture[top : top + size[1], left : left + size[0]] = rng.integers(
-        0, 256, (size[1], size[0], 3), dtype=np.uint8
-    )
+    picture[top : top + size[1], left : left + size[0]] = rng.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
     return picture, {"box_px": [int(left), int(top), int(size[0]), int(size[1])]}
 
 

@@ -115,9 +115,7 @@ def augment(
     return Augmented(image, mask, recipe)
 
 
-def _stored(
-    picture: np.ndarray, alpha: np.ndarray, settings: AugmentationSettings
-) -> tuple[np.ndarray, np.ndarray]:
+def _stored(picture: np.ndarray, alpha: np.ndarray, settings: AugmentationSettings) -> tuple[np.ndarray, np.ndarray]:
     size = (settings.width, settings.height)
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     coverage = cv2.resize(alpha, size, interpolation=cv2.INTER_AREA)

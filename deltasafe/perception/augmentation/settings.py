@@ -57,9 +57,7 @@ class AugmentationSettings:
             if value < least:
                 raise SettingsError(f"{name} is {value}; choose at least {least}")
         if not 0.0 <= self.probability <= 1.0:
-            raise SettingsError(
-                f"probability is {self.probability}; choose a number from 0 to 1 (the paper: 0.5)"
-            )
+            raise SettingsError(f"probability is {self.probability}; choose a number from 0 to 1 (the paper: 0.5)")
         unknown = sorted(set(self.left_out) - set(METHOD_NAMES))
         if unknown:
             raise SettingsError(f"left_out holds {unknown}; the methods are {', '.join(METHOD_NAMES)}")

@@ -24,9 +24,7 @@ def skin_colour(rng: np.random.Generator) -> np.ndarray:
     return cv2.cvtColor(lab[None, None].astype(np.float32), cv2.COLOR_LAB2RGB)[0, 0]
 
 
-def recolour(
-    rgb: np.ndarray, alpha: np.ndarray, lab: np.ndarray, contrast: float, chroma: float
-) -> np.ndarray:
+def recolour(rgb: np.ndarray, alpha: np.ndarray, lab: np.ndarray, contrast: float, chroma: float) -> np.ndarray:
     """Give the skin in ``rgb`` another mean colour, keeping its relief.
 
     Args:

@@ -12,9 +12,7 @@ def surface(rng: np.random.Generator, width: int, height: int) -> tuple[np.ndarr
     return np.clip(SURFACES[kind][0](rng, width, height), 0.0, 1.0).astype(np.float32), kind
 
 
-def smooth_noise(
-    rng: np.random.Generator, width: int, height: int, cell_x: float, cell_y: float
-) -> np.ndarray:
+def smooth_noise(rng: np.random.Generator, width: int, height: int, cell_x: float, cell_y: float) -> np.ndarray:
     """Noise ``(H, W)`` in about [-1, 1] whose features have the given size in pixels."""
     shape = (max(2, round(height / cell_y) + 2), max(2, round(width / cell_x) + 2))
     coarse = rng.uniform(-1.0, 1.0, shape).astype(np.float32)

@@ -43,18 +43,11 @@ def add_sleeve(
     bow = float(rng.uniform(-0.15, 0.15))
     half = 0.5 * arm.width * arm.profile(np.maximum(along, 0.0)) * wide
     half = half * (1 + flare * np.clip((along - start) / wrist, 0, 3) + 0.04 * np.sin(along / wrist * 5))
-    cuff = (
-        along
-        - start
-        - bow * across * across / wrist
-        - 0.06 * wrist * smooth_noise(rng, width, height, 40, 40)
-    )
+    cuff = along - start - bow * across * across / wrist - 0.06 * wrist * smooth_noise(rng, width, height, 40, 40)
     soft = max(0.012 * wrist, 0.6)
     cover = np.clip((half - np.abs(across)) / soft + 0.5, 0, 1) * np.clip(cuff / soft + 0.5, 0, 1)
     round_off = np.sqrt(np.clip(1.02 - (across / np.maximum(half, 1e-3)) ** 2, 0.0, 1.0))
-    cloth = (0.45 + 0.6 * round_off) * (
-        1 + 0.18 * np.sin(along / wrist * rng.uniform(3, 9) + 2 * across / wrist)
-    )
+    cloth = (0.45 + 0.6 * round_off) * (1 + 0.18 * np.sin(along / wrist * rng.uniform(3, 9) + 2 * across / wrist))
     cloth = cloth * (1 + 0.15 * smooth_noise(rng, width, height, 14, 14))
     cloth = cloth * (1 - 0.35 * np.exp(-((cuff / (0.05 * wrist)) ** 2)))
     colour = any_colour(rng) * cloth[..., None]
@@ -101,9 +94,9 @@ def add_rings(rng: np.random.Generator, rgb: np.ndarray, alpha: np.ndarray) -> i
     ridge &= (depth > 0.04 * depth.max() + 2) & (depth < 0.45 * depth.max())
     ys, xs = np.nonzero(ridge)
     n_rings = min(int(rng.integers(1, 4)), xs.size)
-    gold = cv2.cvtColor(
-        np.array([[(rng.uniform(20, 55), rng.uniform(0, 0.7), 0.85)]], np.float32), cv2.COLOR_HSV2RGB
-    )[0, 0]
+    gold = cv2.cvtColor(np.array([[(rng.uniform(20, 55), rng.uniform(0, 0.7), 0.85)]], np.float32), cv2.COLOR_HSV2RGB)[
+        0, 0
+    ]
     for pick in rng.permutation(xs.size)[:n_rings]:
         x, y, radius = int(xs[pick]), int(ys[pick]), float(depth[ys[pick], xs[pick]])
         slope_x = float(depth[y, min(x + 2, depth.shape[1] - 1)] - depth[y, max(x - 2, 0)])
