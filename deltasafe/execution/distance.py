@@ -5,6 +5,7 @@ bounding sphere cannot rule out is met by alternating projections between the tw
 1959), which close in on their distance from above.
 """
 
+import itertools
 import math
 
 import numba
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["MeshDistance", "body_surface_points"]
+__all__ = ["MeshDistance"]
 
 Array = NDArray[np.float64]
 
@@ -43,29 +44,26 @@ class MeshDistance:
             raise SettingsError(f"triangles must have shape (F, 3), F >= 1, got {faces.shape}")
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise SettingsError(f"triangles index vertices 0 to {faces.max()}, there are {len(vertices)}")
-        self._corners = np.ascontiguousarray(vertices[faces])
-        self._centres = self._corners.mean(axis=1)
-        self._radii = np.linalg.norm(self._corners - self._centres[:, None], axis=2).max(axis=1)
-        # vertices in cells, each inside a sphere, for questions about many points
-        used = vertices[np.unique(faces)]
-        _, cell = np.unique(np.floor(used / _CELL_M), axis=0, return_inverse=True)
-        order = np.argsort(cell.ravel(), kind="stable")
-        self._points = np.ascontiguousarray(used[order])
-        self._starts = np.concatenate([[0], np.cumsum(np.bincount(cell.ravel()))])
-        groups = [self._points[a:b] for a, b in zip(self._starts[:-1], self._starts[1:], strict=True)]
-        self._hubs = np.array([group.mean(axis=0) for group in groups])
-        self._spans = np.array(
-            [np.linalg.norm(g - hub, axis=1).max() for g, hub in zip(groups, self._hubs, strict=True)]
-        )
+        corners = vertices[faces]
+        # triangles in cells, each inside a sphere, so that whole cells are ruled out at once
+        _, cell = np.unique(np.floor(corners.mean(axis=1) / _CELL_M), axis=0, return_inverse=True)
+        corners = np.ascontiguousarray(corners[np.argsort(cell.ravel(), kind="stable")])
+        centres = corners.mean(axis=1)
+        radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+        starts = np.concatenate([[0], np.cumsum(np.bincount(cell.ravel()))])
+        cells = [slice(*ends) for ends in itertools.pairwise(starts)]
+        hubs = np.array([centres[c].mean(axis=0) for c in cells])
+        spans = np.array([np.linalg.norm(corners[c] - hub, axis=2).max() for c, hub in zip(cells, hubs, strict=True)])
+        self._mesh = (corners, centres, radii, starts, hubs, spans)
+        self._lowest, self._highest = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
     def to_points(self, points_m: Array) -> float:
-        """Distance in metres from the nearest of (P, 3) points to the mesh's vertices; infinite without points.
-
-        Never below the true distance; at distance d above it by at most r^2 / 2d, where r is half a triangle's side.
-        """
-        points = np.asarray(points_m, dtype=np.float64)
-        points = points[np.argsort(points[:, 2])]  # the lowest first: they are the nearest, and rule out the rest
-        return float(_points_distance(points, self._points, self._starts, self._hubs, self._spans))
+        """Distance in metres from the nearest of (P, 3) points to the mesh; infinite without points."""
+        points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
+        beside = np.maximum(np.maximum(self._lowest - points, points - self._highest), 0.0)
+        bounds = np.linalg.norm(beside, axis=1)
+        order = np.argsort(bounds)
+        return float(_points_distance(points[order], bounds[order], *self._mesh))
 
     def to_tool(self, body: ToolBody, position_m: Array, rotation: Array) -> float:
         """Distance in metres from the tool at a pose to the mesh's surface, 0 where they touch or cross.
@@ -79,78 +77,56 @@ class MeshDistance:
         shaft = (body.shaft_radius_m, body.shaft_radius_m, 0.0, body.shaft_length_m)
         best = math.inf
         for solid in (disc, shaft):
-            best = _solid_distance(
-                np.array(solid), self._corners, self._centres, self._radii, position_m, rotation, best
-            )
+            best = _solid_distance(np.array(solid), *self._mesh, position_m, rotation, best)
         return best if best > _TOUCHING_M else 0.0
 
 
-def body_surface_points(body: ToolBody, spacing_m: float = 0.002) -> Array:
-    """(P, 3) points in the tool's frame that cover its surface, at most ``spacing_m`` apart along each curve."""
-    if not spacing_m > 0:
-        raise SettingsError(f"spacing_m must be positive, got {spacing_m}")
-    half = body.thickness_m / 2
-    rings = []
-    for share in np.linspace(0, 1, math.ceil(body.rho_max_m / spacing_m) + 1):
-        count = max(1, math.ceil(2 * math.pi * body.rho_max_m * share / spacing_m))
-        turn = 2 * np.pi * np.arange(count) / count
-        rings.append(np.stack([share * np.cos(turn), share * np.sin(turn)], axis=1))
-    flat = np.concatenate(rings) * [body.semi_axis_x_m, body.semi_axis_y_m]
-    rim = rings[-1] * [body.semi_axis_x_m, body.semi_axis_y_m]
-    turn = 2 * np.pi * np.arange(max(8, math.ceil(2 * math.pi * body.shaft_radius_m / spacing_m)))
-    turn = turn / len(turn)
-    tube = body.shaft_radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    layers = [_lift(flat, np.array([-half, half]))]
-    layers.append(_lift(rim, np.linspace(-half, half, math.ceil(body.thickness_m / spacing_m) + 1)))
-    heights = np.linspace(half, body.shaft_length_m, math.ceil(body.shaft_length_m / spacing_m) + 1)
-    layers.append(_lift(tube, heights))
-    return np.concatenate(layers)
-
-
-def _lift(flat: Array, heights: Array) -> Array:
-    return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in heights])
-
-
 @numba.njit(cache=True)
-def _points_distance(points, targets, starts, hubs, spans):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _points_distance(points, bounds, corners, centres, radii, starts, hubs, spans):  # type: ignore[no-untyped-def]  # pragma: no cover
     best = np.inf
     for i in range(len(points)):
+        if bounds[i] >= best:
+            break
+        p = (points[i, 0], points[i, 1], points[i, 2])
         for h in range(len(hubs)):
-            if _gap(points[i], hubs[h]) - spans[h] < best:
+            if _gap(p, hubs[h]) - spans[h] < best:
                 for t in range(starts[h], starts[h + 1]):
-                    best = min(best, _gap(points[i], targets[t]))
+                    if _gap(p, centres[t]) - radii[t] < best:
+                        best = min(best, _gap(p, _on_triangle(p, corners[t])))
     return best
 
 
 @numba.njit(cache=True)
-def _solid_distance(solid, corners, centres, radii, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _solid_distance(solid, corners, centres, radii, starts, hubs, spans, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Smallest of ``best`` and the distance of an upright elliptic cylinder (a, b, bottom, top) to triangles."""
     a, b, bottom, top = solid
-    bounds = np.empty(len(centres))
-    for i in range(len(centres)):
-        x, y, z = _to_frame(centres[i], position, rotation)
-        flat = max(math.sqrt(x * x + y * y) - max(a, b), 0.0)
-        high = max(z - top, bottom - z, 0.0)
-        bounds[i] = math.sqrt(flat * flat + high * high) - radii[i]
-    near = np.flatnonzero(bounds < best)
+    bounds = np.empty(len(hubs))
+    for h in range(len(hubs)):
+        hub = _to_frame(hubs[h], position, rotation)
+        bounds[h] = _gap(_in_solid(hub[0], hub[1], hub[2], a, b, bottom, top), hub) - spans[h]
     triangle = np.empty((3, 3))
-    for i in near[np.argsort(bounds[near])]:
-        if bounds[i] >= best:
+    for h in np.argsort(bounds):
+        if bounds[h] >= best:
             break
-        x, y, z = _to_frame(centres[i], position, rotation)
-        if _gap(_in_solid(x, y, z, a, b, bottom, top), (x, y, z)) - radii[i] >= best:
-            continue
-        for corner in range(3):
-            triangle[corner] = _to_frame(corners[i, corner], position, rotation)
-        last = np.inf
-        for _ in range(_PROJECTIONS):
-            inside = _in_solid(x, y, z, a, b, bottom, top)
-            x, y, z = _on_triangle(inside, triangle)
-            gap = _gap(inside, (x, y, z))
-            if gap < _TOUCHING_M or last - gap < 1e-8:
-                break
-            last = gap
-        best = min(best, gap)
+        for i in range(starts[h], starts[h + 1]):
+            x, y, z = _to_frame(centres[i], position, rotation)
+            flat = max(math.sqrt(x * x + y * y) - max(a, b), 0.0)
+            high = max(z - top, bottom - z, 0.0)
+            if math.sqrt(flat * flat + high * high) - radii[i] >= best:
+                continue
+            if _gap(_in_solid(x, y, z, a, b, bottom, top), (x, y, z)) - radii[i] >= best:
+                continue
+            for corner in range(3):
+                triangle[corner] = _to_frame(corners[i, corner], position, rotation)
+            last = np.inf
+            for _ in range(_PROJECTIONS):
+                inside = _in_solid(x, y, z, a, b, bottom, top)
+                x, y, z = _on_triangle(inside, triangle)
+                gap = _gap(inside, (x, y, z))
+                if gap < _TOUCHING_M or last - gap < 1e-8:
+                    break
+                last = gap
+            best = min(best, gap)
     return best
 
 

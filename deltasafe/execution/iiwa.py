@@ -6,8 +6,11 @@ smallest manipulability and the smallest relative margin to a joint limit, over 
 |y| <= 0.12, z 0.02 to 0.2 m and any yaw: 0.085 and 17 % (of joint 4). Its elbow is up and, with the tool at start or
 goal, the links stay out of the camera's view.
 
-What is real. Joint ranges, speeds and torques are the data sheet's (decision 26). The torque that reaches the links differs
-from the command as on an arm whose joint torque sensors compensate most, not all, of the friction: see ``JointFriction``.
+What is real. Joint ranges, speeds and torques are the data sheet's (decision 26). The torque that reaches the links
+differs from the command as on an arm whose torque sensors compensate most, not all, of the friction: ``JointFriction``.
+
+The camera hangs where the wrist passes, as any camera does that looks straight down on a tool under an arm: it
+has taken its picture before the arm moves, and is no obstacle here.
 """
 
 import contextlib
@@ -49,22 +52,23 @@ class JointFriction:
     """What the drive leaves uncompensated, drawn anew for each seed.
 
     Attributes:
-        coulomb_nm: (7) dry friction per joint, after the torque sensors' compensation; 0.1 % (base) of the rated torque.
-        viscous_nms: damping of each joint in N m s/rad.
+        coulomb_nm: (7) dry friction of each joint that the torque sensors' loop leaves over: about 0.1 % of
+            the rated torque, so small that the arm holds 0.5 mm at 0.01 m/s, as the paper says that the real one did.
+        viscous_nms: (7) damping of each joint in N m s/rad.
         variation: relative spread (uniform, +-) of both from one seed to the next.
         torque_gain_sd: standard deviation of each torque sensor's gain about 1.
     """
 
-    coulomb_nm: tuple[float, ...] = (0.3, 0.3, 0.2, 0.2, 0.1, 0.06, 0.06)
-    viscous_nms: float = 0.5
+    coulomb_nm: tuple[float, ...] = (0.2, 0.2, 0.12, 0.12, 0.08, 0.04, 0.04)
+    viscous_nms: tuple[float, ...] = (0.5, 0.5, 0.3, 0.3, 0.2, 0.1, 0.1)
     variation: float = 0.3
     torque_gain_sd: float = 0.003
 
     def __post_init__(self) -> None:
-        if len(self.coulomb_nm) != len(JOINTS) or not all(f >= 0 and math.isfinite(f) for f in self.coulomb_nm):
-            raise SettingsError(f"coulomb_nm must be seven torques >= 0, got {self.coulomb_nm}")
-        if not (math.isfinite(self.viscous_nms) and self.viscous_nms >= 0):
-            raise SettingsError(f"viscous_nms must be finite and not negative, got {self.viscous_nms}")
+        for name in ("coulomb_nm", "viscous_nms"):
+            values = getattr(self, name)
+            if len(values) != len(JOINTS) or not all(f >= 0 and math.isfinite(f) for f in values):
+                raise SettingsError(f"{name} must hold seven finite values >= 0, got {values}")
         if not 0 <= self.variation < 1:
             raise SettingsError(f"variation must lie in [0, 1), got {self.variation}")
         if not 0 <= self.torque_gain_sd <= 0.1:
@@ -154,7 +158,12 @@ class World:
                 physicsClientId=client,
             )
             visual = p.createVisualShape(
-                p.GEOM_MESH, vertices=vertices, indices=indices, rgbaColor=SKIN_RGBA, physicsClientId=client
+                p.GEOM_MESH,
+                vertices=vertices,
+                indices=indices,
+                normals=_normals(np.asarray(mesh[0], dtype=np.float64), np.asarray(mesh[1])).tolist(),
+                rgbaColor=SKIN_RGBA,
+                physicsClientId=client,
             )
             self.hand = p.createMultiBody(0, shape, visual, physicsClientId=client)
 
@@ -187,7 +196,7 @@ class IiwaArm:
         rng = np.random.default_rng(seed)
         spread = 1 + friction.variation * rng.uniform(-1, 1, size=(2, len(JOINTS)))
         self._coulomb_nm = np.array(friction.coulomb_nm) * spread[0]
-        self._viscous_nms = friction.viscous_nms * spread[1]
+        self._viscous_nms = np.array(friction.viscous_nms) * spread[1]
         self._gain = 1 + friction.torque_gain_sd * rng.standard_normal(len(JOINTS))
         self._links = _link_surfaces(self._bullet, self._client, self._arm)
         self._configure()
@@ -215,9 +224,7 @@ class IiwaArm:
 
     def state(self) -> ArmState:
         joints = self._bullet.getJointStates(self._arm, JOINTS, physicsClientId=self._client)
-        tool = self._bullet.getLinkState(
-            self._arm, TOOL_LINK, computeForwardKinematics=1, physicsClientId=self._client
-        )
+        tool = self._bullet.getLinkState(self._arm, TOOL_LINK, computeForwardKinematics=1, physicsClientId=self._client)
         return ArmState(
             np.array([joint[0] for joint in joints]),
             np.array([joint[1] for joint in joints]),
@@ -266,9 +273,7 @@ class IiwaArm:
         p.setPhysicsEngineParameter(deterministicOverlappingPairs=1, physicsClientId=client)
         p.changeDynamics(self._arm, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
         for joint in JOINTS:
-            p.changeDynamics(
-                self._arm, joint, jointDamping=float(self._viscous_nms[joint]), physicsClientId=client
-            )
+            p.changeDynamics(self._arm, joint, jointDamping=float(self._viscous_nms[joint]), physicsClientId=client)
             # PyBullet's velocity motor at target 0 with a small force is dry friction, solved implicitly
             p.setJointMotorControl2(
                 self._arm,
@@ -307,9 +312,7 @@ def _write_urdf(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> pat
         + disc_kg * height**2
         + disc_kg * body.rho_max_m**2 / 4
     )
-    about = (shaft_kg * body.shaft_radius_m**2) / 2 + disc_kg * (
-        body.semi_axis_x_m**2 + body.semi_axis_y_m**2
-    ) / 4
+    about = (shaft_kg * body.shaft_radius_m**2) / 2 + disc_kg * (body.semi_axis_x_m**2 + body.semi_axis_y_m**2) / 4
     shapes = ""
     for kind in ("visual", "collision"):
         colour = f'<material name="Tool"><color rgba="{" ".join(map(str, TOOL_RGBA))}"/></material>'
@@ -348,6 +351,15 @@ def _elliptic_cylinder(body: ToolBody, corners: int = 64) -> str:
     for i in range(2, corners):
         lines += [f"f 1 {i + 1} {i}", f"f {corners + 1} {corners + i} {corners + i + 1}"]
     return "\n".join(lines) + "\n"
+
+
+def _normals(vertices: Array, triangles: NDArray[Any]) -> Array:
+    """(V, 3) unit normals, each triangle weighted by its area."""
+    a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, triangles[:, corner], np.cross(b - a, c - a))
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
 
 
 def _link_surfaces(bullet: Any, client: int, arm: int) -> dict[int, Array]:

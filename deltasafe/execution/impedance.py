@@ -96,9 +96,7 @@ def rotation_error(reference: Array, measured: Array) -> Array:
     """(3,) rotation vector in rad that turns ``measured`` into ``reference`` (quaternions x, y, z, w), world frame."""
     x, y, z, w = reference
     a, b, c, d = -measured[0], -measured[1], -measured[2], measured[3]
-    vector = np.array(
-        [w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a, w * c + x * b - y * a + z * d]
-    )
+    vector = np.array([w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a, w * c + x * b - y * a + z * d])
     scalar = w * d - x * a - y * b - z * c
     length = math.sqrt(vector @ vector)
     if length < 1e-12:

@@ -24,10 +24,6 @@ BASE_TO_SHOULDER_M = 0.36
 SHOULDER_TO_ELBOW_M = 0.42
 ELBOW_TO_WRIST_M = 0.40
 WRIST_TO_FLANGE_M = 0.126
-# capsules that hold the link meshes: forearm about elbow-wrist, hand about wrist-flange
-FOREARM_RADIUS_M = 0.10
-WRIST_RADIUS_M = 0.09
-FLANGE_RADIUS_M = 0.065
 
 _AXES = np.array([[0, 0, 1], [0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, 1], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
 _BRANCHES = tuple(itertools.product((1.0, -1.0), repeat=3))  # signs of q2, q4 and q6
@@ -81,7 +77,7 @@ class IiwaKinematics:
         self.limits = IIWA14_LIMITS
         self._base_rotation = _rotation_z(np.array(mount.base_yaw_rad))
         self._base_m = np.array([mount.base_x_m, mount.base_y_m, mount.base_z_m])
-        self._shoulder_m = self._base_m + [0.0, 0.0, BASE_TO_SHOULDER_M]
+        self._shoulder_m = self._base_m + np.array([0.0, 0.0, BASE_TO_SHOULDER_M])
 
     def forward(self, joint_positions_rad: Array) -> tuple[Array, Array, Array, Array]:
         """Elbow, wrist and flange (N, 3) in metres and rotation (N, 3, 3) of the tool for (N, 7) joints."""
@@ -102,7 +98,7 @@ class IiwaKinematics:
     def differential(self, q: Array, q_dot: Array) -> tuple[Array, Array]:
         """Jacobian J (6, 7) of the tool's twist (linear, then angular) and the acceleration dJ/dt q_dot (6,)."""
         reach = WRIST_TO_FLANGE_M + self.tool_length_m
-        return _differential(q, q_dot, self._base_rotation, reach)  # type: ignore[no-any-return]
+        return _differential(q, q_dot, self._base_rotation, reach)
 
     def inverse(self, poses: Array) -> Array:
         """Joint positions (N, 7), continuous along the path, for tool poses (N, 4), shaft vertical.
@@ -133,34 +129,7 @@ class IiwaKinematics:
         jacobians = np.array([self.differential(q, still)[0] for q in np.asarray(joint_positions_rad)])
         return np.asarray(np.sqrt(np.linalg.det(jacobians @ jacobians.transpose(0, 2, 1))))
 
-    def lowest_link_point_m(self, joint_positions_rad: Array) -> Array:
-        """(N,) height of the lowest point of forearm, wrist and flange: the tool below the flange is not counted.
-
-        Capsules hold the links, so the value is a lower bound.
-        """
-        elbow, wrist, flange, rotation = self.forward(joint_positions_rad)
-        rim = FLANGE_RADIUS_M * np.sqrt(np.clip(1 - rotation[:, 2, 2] ** 2, 0.0, 1.0))
-        return np.asarray(
-            np.minimum.reduce(
-                [elbow[:, 2] - FOREARM_RADIUS_M, wrist[:, 2] - WRIST_RADIUS_M, flange[:, 2] - rim]
-            )
-        )
-
-    def require_links_above(self, joint_positions_rad: Array, height_m: float) -> None:
-        """Refuse postures that bring a link below ``height_m``, where space may be unsafe (decision 12).
-
-        Raises:
-            PlanningError: names the sample, the height of the link and the height to keep.
-        """
-        lowest = self.lowest_link_point_m(joint_positions_rad)
-        sample = int(np.argmin(lowest))
-        if lowest[sample] < height_m:
-            raise PlanningError(
-                f"sample {sample}: a link of the arm comes down to {lowest[sample]:.3f} m, but space below "
-                f"{height_m:.3f} m is not known to be free; lengthen the tool's shaft or raise the path"
-            )
-
-    def _branch(self, poses: Array, signs: tuple[float, float, float]) -> Array:
+    def _branch(self, poses: Array, signs: tuple[float, ...]) -> Array:
         """One branch of the inverse for (N, 4) poses: (N, 7), q1, q3, q5, q7 unwrapped."""
         sign2, sign4, sign6 = signs
         wrist = poses[:, :3] + [0.0, 0.0, self.tool_length_m + WRIST_TO_FLANGE_M]
@@ -217,7 +186,7 @@ def _say(pose: Array) -> str:
 
 
 @numba.njit(cache=True)
-def _differential(q: Array, q_dot: Array, base: Array, reach: float) -> tuple[Array, Array]:  # type: ignore[no-untyped-def]  # pragma: no cover
+def _differential(q: Array, q_dot: Array, base: Array, reach: float) -> tuple[Array, Array]:  # pragma: no cover
     # along the chain, relative to the shoulder: each axis, its point, and the velocities of both
     axes, points = np.zeros((7, 3)), np.zeros((7, 3))
     axis_rates, point_rates = np.zeros((7, 3)), np.zeros((7, 3))
@@ -229,7 +198,7 @@ def _differential(q: Array, q_dot: Array, base: Array, reach: float) -> tuple[Ar
         axis_rates[joint] = _cross(spin, axis)
         turning = turning + axis_rates[joint] * q_dot[joint]
         spin = spin + axis * q_dot[joint]
-        x, y, z = _AXES[joint]
+        _, y, z = _AXES[joint]
         c, s = math.cos(q[joint]), math.sin(q[joint])
         if z != 0.0:
             turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -258,5 +227,5 @@ def _differential(q: Array, q_dot: Array, base: Array, reach: float) -> tuple[Ar
 
 
 @numba.njit(cache=True)
-def _cross(a: Array, b: Array) -> Array:  # type: ignore[no-untyped-def]  # pragma: no cover
+def _cross(a: Array, b: Array) -> Array:  # pragma: no cover
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -19,19 +19,20 @@ PHASES = ("approach", "rest", "motion", "settle", "retreat", "stopped")
 """Down onto the start, rest there, the planned motion, rest at the goal, up again; held by the monitor."""
 
 _FORMAT = 1
-_COLUMNS: dict[str, int | None] = {
-    "time_s": 0,
-    "phase": 0,
-    "reference_poses": 4,
-    "reference_velocities": 4,
-    "tool_positions_m": 3,
-    "tool_quaternions": 4,
-    "joint_positions_rad": None,
-    "torques_nm": None,
-    "tool_to_hand_m": 0,
-    "arm_to_hand_m": 0,
-    "contacts": 0,
+COLUMNS: dict[str, tuple[type, int | None]] = {
+    "time_s": (np.float64, 0),
+    "phase": (np.int8, 0),
+    "reference_poses": (np.float64, 4),
+    "reference_velocities": (np.float64, 4),
+    "tool_positions_m": (np.float64, 3),
+    "tool_quaternions": (np.float64, 4),
+    "joint_positions_rad": (np.float64, None),
+    "torques_nm": (np.float64, None),
+    "tool_to_hand_m": (np.float64, 0),
+    "arm_to_hand_m": (np.float64, 0),
+    "contacts": (np.int32, 0),
 }
+"""Each recorded array: its type and its columns; 0 columns: one value a sample, None: one per joint."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,8 +71,8 @@ class Execution:
 
     def __post_init__(self) -> None:
         count = len(self.time_s)
-        for name, columns in _COLUMNS.items():
-            array = np.array(getattr(self, name))
+        for name, (kind, columns) in COLUMNS.items():
+            array: NDArray[Any] = np.array(getattr(self, name), dtype=kind)
             wanted = 1 if columns == 0 else 2
             if array.ndim != wanted or len(array) != count or (columns and array.shape[1] != columns):
                 raise SettingsError(f"{name} does not fit {count} samples: shape {array.shape}")
@@ -129,7 +130,7 @@ class Execution:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All arrays by name."""
-        return {name: getattr(self, name) for name in _COLUMNS}
+        return {name: getattr(self, name) for name in COLUMNS}
 
     def digest(self) -> str:
         """SHA-256 of everything recorded: equal runs have equal digests."""
@@ -142,7 +143,7 @@ class Execution:
     def save(self, folder: str | pathlib.Path) -> None:
         """Write ``folder`` (execution.json, arrays.npz) as a whole, replacing what was there."""
         with atomic_folder(folder) as temporary:
-            np.savez_compressed(temporary / "arrays.npz", allow_pickle=False, **self.arrays())
+            np.savez_compressed(temporary / "arrays.npz", **self.arrays())  # type: ignore[arg-type]
             about = {
                 "format": _FORMAT,
                 "phases": PHASES,
@@ -167,7 +168,7 @@ class Execution:
         path = folder / "arrays.npz"
         try:
             with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in _COLUMNS}
+                arrays = {name: file[name] for name in COLUMNS}
             execution = cls(
                 **arrays, body=ToolBody(**about["body"]), seed=about["seed"], stop_reason=about["stop_reason"]
             )

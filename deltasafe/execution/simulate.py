@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.execution.arm import Arm, ArmState
 from deltasafe.execution.distance import MeshDistance
 from deltasafe.execution.impedance import ImpedanceSettings, TaskReference, impedance_torques, rotation_error
-from deltasafe.execution.recording import PHASES, Execution
+from deltasafe.execution.recording import COLUMNS, PHASES, Execution
 from deltasafe.geometry import Trajectory
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.tracking import TrackingBound
@@ -120,7 +121,7 @@ class _Reference:
     ) -> None:
         period = arm.control_period_s
         self.period_s = period
-        motion_time = np.arange(math.floor(trajectory.duration_s / period + 1e-9) + 1) * period
+        motion_time: Array = np.arange(math.floor(trajectory.duration_s / period + 1e-9) + 1, dtype=np.float64) * period
         poses = _at(motion_time, trajectory.time_s, trajectory.poses)
         velocities = _at(motion_time, trajectory.time_s, trajectory.velocities)
         approach, approach_velocity = _vertical(poses[0], settings, period)
@@ -171,12 +172,12 @@ class _Reference:
                 f"{share[sample, joint]:.2f} times as fast as it can; slow the trajectory down"
             )
         if unsafe_below_m is not None:
-            for sample in range(0, len(self.joints), 50):
-                arm.reset(self.joints[sample])
+            for index in range(0, len(self.joints), 50):
+                arm.reset(self.joints[index])
                 points = arm.link_points_m()
                 if len(points) and points[:, 2].min() < unsafe_below_m:
                     raise PlanningError(
-                        f"at {sample * self.period_s:.2f} s a link of the arm comes down to "
+                        f"at {index * self.period_s:.2f} s a link of the arm comes down to "
                         f"{points[:, 2].min():.3f} m, but space below {unsafe_below_m:.3f} m is not known to be "
                         "free; lengthen the tool's shaft or raise the path"
                     )
@@ -264,7 +265,7 @@ class _Recorder:
         self._rows.append(
             (
                 index * reference.period_s,
-                PHASES.index("stopped") if stopped else reference.phase[index],
+                PHASES.index("stopped") if stopped else int(reference.phase[index]),
                 reference.poses[shown],
                 np.zeros(4) if stopped else reference.velocities[index],
                 state.tool_position_m,
@@ -278,10 +279,9 @@ class _Recorder:
         )
 
     def finish(self, seed: int, stop_reason: str) -> Execution:
-        columns = [np.array(column) for column in zip(*self._rows, strict=True)]
-        columns[1] = columns[1].astype(np.int8)
-        columns[-1] = columns[-1].astype(np.int32)
-        return Execution(*columns, body=self._body, seed=seed, stop_reason=stop_reason)
+        columns = dict(zip(COLUMNS, zip(*self._rows, strict=True), strict=True))
+        arrays: dict[str, Any] = {name: np.array(column, dtype=COLUMNS[name][0]) for name, column in columns.items()}
+        return Execution(body=self._body, seed=seed, stop_reason=stop_reason, **arrays)
 
 
 def _at(time_s: Array, known_s: Array, values: Array) -> Array:

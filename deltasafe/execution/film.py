@@ -1,0 +1,145 @@
+"""A film of an execution from its recorded joint positions: an oblique view beside the logged camera's."""
+
+import dataclasses
+import math
+import pathlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import SettingsError
+from deltasafe.execution.recording import PHASES, Execution
+from deltasafe.progress import Progress, silent
+from deltasafe.scene.camera import Camera
+from deltasafe.storage import atomic_file
+
+__all__ = ["FilmSettings", "film_frames", "save_film"]
+
+Array = NDArray[np.float64]
+
+_EYE_M, _TARGET_M = (0.62, -0.62, 0.52), (0.0, 0.10, 0.16)
+_REFERENCE_RGB, _TRACE_RGB = (150, 150, 160), (20, 110, 220)
+_TEXT_RGB, _BAR_RGB = (235, 235, 235), (32, 34, 38)
+_BAR_PX = 26
+
+
+@dataclasses.dataclass(frozen=True)
+class FilmSettings:
+    """Size and length of a film.
+
+    Attributes:
+        seconds: length of the film; the motion is shown as much faster or slower as that needs.
+        frames_per_second: of the film.
+        view_width: pixels of each of the two views.
+    """
+
+    seconds: float = 7.0
+    frames_per_second: int = 10
+    view_width: int = 400
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.seconds) and 0 < self.seconds <= 60):
+            raise SettingsError(f"seconds must lie in (0, 60], got {self.seconds}")
+        if not 1 <= self.frames_per_second <= 50:
+            raise SettingsError(f"frames_per_second must lie in 1 to 50, got {self.frames_per_second}")
+        if not 64 <= self.view_width <= 1920:
+            raise SettingsError(f"view_width must lie in 64 to 1920 pixels, got {self.view_width}")
+
+
+def film_frames(
+    execution: Execution,
+    camera: Camera,
+    mesh: tuple[NDArray[Any], NDArray[Any]],
+    settings: FilmSettings,
+    *,
+    table_z_m: float = 0.0,
+    progress: Progress = silent,
+) -> list[NDArray[np.uint8]]:
+    """Frames (H, W, 3) uint8: reference in grey, executed path in blue, a line of text below."""
+    from deltasafe.execution.iiwa_view import ArmView, Viewpoint
+
+    camera_view = Viewpoint.of_camera(camera, settings.view_width)
+    oblique = Viewpoint.looking_at(np.array(_EYE_M), np.array(_TARGET_M), settings.view_width, camera_view.height)
+    count = max(2, round(settings.seconds * settings.frames_per_second))
+    samples = np.round(np.linspace(0, len(execution.time_s) - 1, count)).astype(int)
+    speed_up = float(execution.time_s[-1] / settings.seconds)
+    frames = []
+    with ArmView(execution.body, mesh, table_z_m) as view:
+        for number, sample in enumerate(samples):
+            pictures = [
+                _with_paths(view.render(execution.joint_positions_rad[sample], seen), execution, sample, seen)
+                for seen in (oblique, camera_view)
+            ]
+            frames.append(_captioned(np.concatenate(pictures, axis=1), execution, sample, speed_up))
+            progress(number + 1, count, "film")
+    return frames
+
+
+def save_film(
+    destination: str | pathlib.Path,
+    execution: Execution,
+    camera: Camera,
+    mesh: tuple[NDArray[Any], NDArray[Any]],
+    settings: FilmSettings | None = None,
+    *,
+    table_z_m: float = 0.0,
+    progress: Progress = silent,
+) -> None:
+    """Write the film as an animated GIF, atomically.
+
+    Raises:
+        SettingsError: the destination does not end in .gif.
+    """
+    from PIL import Image
+
+    settings = settings or FilmSettings()
+    destination = pathlib.Path(destination)
+    if destination.suffix.lower() != ".gif":
+        raise SettingsError(f"a film is an animated GIF; name it so, not {destination.name}")
+    frames = film_frames(execution, camera, mesh, settings, table_z_m=table_z_m, progress=progress)
+    middle = np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]])
+    palette = Image.fromarray(middle).quantize(128, dither=Image.Dither.NONE)
+    pictures = [Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
+    with atomic_file(destination) as temporary:
+        pictures[0].save(
+            temporary,
+            save_all=True,
+            append_images=pictures[1:],
+            duration=round(1000 / settings.frames_per_second),
+            loop=0,
+            optimize=False,
+        )
+
+
+def _with_paths(picture: NDArray[np.uint8], execution: Execution, sample: int, seen: Any) -> NDArray[np.uint8]:
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    judged = execution.judged
+    reference = seen.pixels(execution.reference_poses[judged, :3])
+    done = seen.pixels(execution.tool_positions_m[: sample + 1][judged[: sample + 1]])
+    for path, colour, width in ((reference, _REFERENCE_RGB, 1), (done, _TRACE_RGB, 2)):
+        points = [tuple(point) for point in path[np.isfinite(path).all(axis=1)]]
+        if len(points) > 1:
+            draw.line(points, fill=colour, width=width)
+    return np.asarray(image)
+
+
+def _captioned(picture: NDArray[np.uint8], execution: Execution, sample: int, speed_up: float) -> NDArray[np.uint8]:
+    from PIL import Image, ImageDraw, ImageFont
+
+    height, width = picture.shape[:2]
+    image = Image.new("RGB", (width, height + _BAR_PX), _BAR_RGB)
+    image.paste(Image.fromarray(picture))
+    distance = execution.tool_to_hand_m[sample] * 1e3
+    text = (
+        f"{execution.time_s[sample]:5.1f} s (x{speed_up:.1f})   {PHASES[execution.phase[sample]]:<8}   "
+        f"{execution.reference_speed_mps[sample] * 1e3:4.0f} mm/s   tool to hand {distance:4.0f} mm"
+    )
+    if execution.stop_reason and PHASES[execution.phase[sample]] == "stopped":
+        text += "   STOPPED by the monitor"
+    font = ImageFont.load_default(size=13)
+    ImageDraw.Draw(image).text((8, height + 5), text, fill=_TEXT_RGB, font=font)
+    return np.asarray(image)

@@ -1,0 +1,145 @@
+"""Pictures of the simulated arm by PyBullet's own software renderer: no window, no graphics card."""
+
+import dataclasses
+import types
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.execution.iiwa import TOOL_LINK, World
+from deltasafe.execution.kinematics import ArmMount
+from deltasafe.planning.body import ToolBody
+from deltasafe.scene.camera import Camera
+
+__all__ = ["ArmView", "Viewpoint"]
+
+Array = NDArray[np.float64]
+
+_NEAR_M, _FAR_M = 0.01, 5.0
+_LIGHT = (0.6, -1.0, 2.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Viewpoint:
+    """A pinhole view.
+
+    Attributes:
+        width, height: pixels.
+        camera_from_world: (4, 4), OpenGL axes (x right, y up, z backward).
+        clip_from_camera: (4, 4), OpenGL's perspective matrix.
+    """
+
+    width: int
+    height: int
+    camera_from_world: Array
+    clip_from_camera: Array
+
+    @classmethod
+    def of_camera(cls, camera: Camera, width: int) -> Self:
+        """What the logged camera sees, ``width`` pixels wide."""
+        rotation = np.asarray(camera.world_from_camera_rotation, dtype=np.float64)
+        axes = rotation @ np.diag([1.0, -1.0, -1.0])
+        clip = _perspective(
+            2 * camera.fx / camera.width,
+            2 * camera.fy / camera.height,
+            1 - 2 * camera.cx / camera.width,
+            2 * camera.cy / camera.height - 1,
+        )
+        height = round(width * camera.height / camera.width)
+        return cls(width, height, _looking(axes, np.asarray(camera.position_m)), clip)
+
+    @classmethod
+    def looking_at(cls, eye_m: Array, target_m: Array, width: int, height: int, focal: float = 1.6) -> Self:
+        """From ``eye_m`` towards ``target_m``, upright; ``focal`` is the focal length in half image heights."""
+        backward = np.asarray(eye_m, dtype=np.float64) - np.asarray(target_m)
+        backward /= np.linalg.norm(backward)
+        right = np.cross([0.0, 0.0, 1.0], backward)
+        right /= np.linalg.norm(right)
+        axes = np.stack([right, np.cross(backward, right), backward], axis=1)
+        return cls(width, height, _looking(axes, np.asarray(eye_m)), _perspective(focal * height / width, focal, 0, 0))
+
+    def pixels(self, points_m: Array) -> Array:
+        """(N, 2) image positions of (N, 3) points; NaN behind the camera."""
+        points = np.column_stack([points_m, np.ones(len(points_m))])
+        clip = points @ (self.clip_from_camera @ self.camera_from_world).T
+        depth = np.where(clip[:, 3] > _NEAR_M, clip[:, 3], np.nan)
+        x, y = clip[:, 0] / depth, clip[:, 1] / depth
+        return np.stack([(x + 1) / 2 * self.width, (1 - y) / 2 * self.height], axis=1)
+
+
+class ArmView:
+    """Renders the arm in any posture. Use it as a context manager."""
+
+    def __init__(
+        self,
+        body: ToolBody,
+        mesh: tuple[NDArray[Any], NDArray[Any]] | None,
+        table_z_m: float = 0.0,
+        mount: ArmMount | None = None,
+    ) -> None:
+        self._world = World(body, mount or ArmMount(), table_z_m, mesh)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: types.TracebackType | None,
+    ) -> None:
+        self._world.close()
+
+    def render(self, joint_positions_rad: Array, viewpoint: Viewpoint) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 picture of a posture."""
+        return self._image(joint_positions_rad, viewpoint)[0]
+
+    def links_in_view(self, joint_positions_rad: Array, viewpoint: Viewpoint) -> dict[int, int]:
+        """Pixels that show each link of the arm: 0 the base, 1 to 7 its links; the tool does not count."""
+        labels = self._image(joint_positions_rad, viewpoint)[1]
+        labels = labels[labels >= 0]
+        links = labels[(labels & 0xFFFFFF) == self._world.arm] >> 24
+        numbers, counts = np.unique(links[links <= TOOL_LINK], return_counts=True)
+        return dict(zip(numbers.tolist(), counts.tolist(), strict=True))
+
+    def _image(self, joints: Array, viewpoint: Viewpoint) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+        p = self._world.bullet
+        self._world.place(joints)
+        _, _, rgba, _, labels = p.getCameraImage(
+            viewpoint.width,
+            viewpoint.height,
+            viewpoint.camera_from_world.T.ravel().tolist(),
+            viewpoint.clip_from_camera.T.ravel().tolist(),
+            lightDirection=_LIGHT,
+            lightAmbientCoeff=0.55,
+            lightDiffuseCoeff=0.45,
+            lightSpecularCoeff=0.05,
+            shadow=1,
+            renderer=p.ER_TINY_RENDERER,
+            flags=p.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
+            physicsClientId=self._world.client,
+        )
+        shape = (viewpoint.height, viewpoint.width)
+        picture = np.reshape(np.asarray(rgba, dtype=np.uint8), (*shape, 4))[:, :, :3]
+        return picture, np.reshape(np.asarray(labels, dtype=np.int32), shape)
+
+
+def _looking(axes: Array, eye_m: Array) -> Array:
+    matrix = np.eye(4)
+    matrix[:3, :3] = axes.T
+    matrix[:3, 3] = -axes.T @ eye_m
+    return matrix
+
+
+def _perspective(x_scale: float, y_scale: float, x_shift: float, y_shift: float) -> Array:
+    depth = _FAR_M - _NEAR_M
+    return np.array(
+        [
+            [x_scale, 0, x_shift, 0],
+            [0, y_scale, y_shift, 0],
+            [0, 0, -(_FAR_M + _NEAR_M) / depth, -2 * _FAR_M * _NEAR_M / depth],
+            [0, 0, -1, 0],
+        ],
+        dtype=np.float64,
+    )
