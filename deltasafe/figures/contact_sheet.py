@@ -52,9 +52,7 @@ def contact_sheet(
     """
     destination = pathlib.Path(destination)
     if augmented.source_digest != hands.digest:
-        raise DataError(
-            augmented.folder, f"was not made from the set {hands.name!r}; write the augmented set again"
-        )
+        raise DataError(augmented.folder, f"was not made from the set {hands.name!r}; write the augmented set again")
     rows = np.unique(np.linspace(0, len(hands) - 1, min(n_originals, len(hands))).round().astype(int))
     columns = min(n_variants, augmented.settings.n_variants)
     aspect = augmented.settings.height / augmented.settings.width

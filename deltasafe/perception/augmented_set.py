@@ -77,9 +77,7 @@ class AugmentedSet:
             )
         digest = _digest(settings, described["source_digest"], described["background_digest"], recipes)
         if digest != described["digest"]:
-            raise DataError(
-                folder, "has a digest that is not that of its recipes; write the augmented set again"
-            )
+            raise DataError(folder, "has a digest that is not that of its recipes; write the augmented set again")
         return cls(
             folder,
             images,
@@ -103,13 +101,8 @@ class AugmentedSet:
             DataError: naming the first image that differs.
         """
         for i, recipe in enumerate(self.recipes):
-            if (
-                hashlib.sha256(self.images[i].tobytes() + self.masks[i].tobytes()).hexdigest()
-                != recipe["digest"]
-            ):
-                raise DataError(
-                    self.folder, f"image {i} differs from its recipe; write the augmented set again"
-                )
+            if hashlib.sha256(self.images[i].tobytes() + self.masks[i].tobytes()).hexdigest() != recipe["digest"]:
+                raise DataError(self.folder, f"image {i} differs from its recipe; write the augmented set again")
 
 
 def write_augmented_set(
@@ -143,9 +136,7 @@ def write_augmented_set(
     recipes: list[dict[str, Any]] = []
     with atomic_folder(folder) as temporary:
         shape = (n, settings.height, settings.width)
-        images = np.lib.format.open_memmap(
-            temporary / "images.npy", mode="w+", dtype=np.uint8, shape=(*shape, 3)
-        )
+        images = np.lib.format.open_memmap(temporary / "images.npy", mode="w+", dtype=np.uint8, shape=(*shape, 3))
         masks = np.lib.format.open_memmap(temporary / "masks.npy", mode="w+", dtype=np.uint8, shape=shape)
         for done, variants in enumerate(_all_variants(hands, pictures, settings, workers), start=1):
             for made in variants:
@@ -200,9 +191,7 @@ def _all_variants(
         return
     # spawned, not forked: the caller may hold the threads of a network
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(
-        workers, context, initializer=_begin, initargs=(job,)
-    ) as pool:
+    with concurrent.futures.ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(job,)) as pool:
         yield from pool.map(_work, range(len(hands)))
 
 
@@ -220,10 +209,7 @@ def _work(i: int) -> list[Augmented]:
 def _variants(job: _Job, i: int) -> list[Augmented]:
     hands, backgrounds, settings = job
     hand = cut_out(*hands.read(i), settings)
-    return [
-        augment(hands.items[i].id, hand, variant, backgrounds, settings)
-        for variant in range(settings.n_variants)
-    ]
+    return [augment(hands.items[i].id, hand, variant, backgrounds, settings) for variant in range(settings.n_variants)]
 
 
 def _read_recipes(path: pathlib.Path) -> tuple[dict[str, Any], ...]:
@@ -234,9 +220,7 @@ def _read_recipes(path: pathlib.Path) -> tuple[dict[str, Any], ...]:
         try:
             recipes.append(json.loads(line))
         except json.JSONDecodeError as error:
-            raise DataError(
-                path, f"line {number} is no recipe ({error}); write the augmented set again"
-            ) from error
+            raise DataError(path, f"line {number} is no recipe ({error}); write the augmented set again") from error
     return tuple(recipes)
 
 
@@ -246,15 +230,11 @@ def _mapped(path: pathlib.Path, shape: tuple[int, ...]) -> np.ndarray:
     except (OSError, ValueError) as error:
         raise DataError(path, f"cannot be opened ({error}); write the augmented set again") from error
     if array.shape != shape or array.dtype != np.uint8:
-        raise DataError(
-            path, f"holds {array.dtype} {array.shape}, not uint8 {shape}; write the augmented set again"
-        )
+        raise DataError(path, f"holds {array.dtype} {array.shape}, not uint8 {shape}; write the augmented set again")
     return array
 
 
-def _digest(
-    settings: AugmentationSettings, source: str, backgrounds: str, recipes: tuple[dict[str, Any], ...]
-) -> str:
+def _digest(settings: AugmentationSettings, source: str, backgrounds: str, recipes: tuple[dict[str, Any], ...]) -> str:
     return digest_of([settings, source, backgrounds, recipes])
 
 

@@ -59,9 +59,7 @@ class HandSet:
         images, masks = _files(folder / "images"), _files(folder / "masks")
         for stem in sorted(images.keys() ^ masks.keys()):
             path, other = (images[stem], "masks") if stem in images else (masks[stem], "images")
-            raise DataError(
-                path, f"has no counterpart in {other}/; give both files the same stem, or remove it"
-            )
+            raise DataError(path, f"has no counterpart in {other}/; give both files the same stem, or remove it")
         if not images:
             raise DataError(folder, "holds no images; put them into images/ and their masks into masks/")
         items = tuple(HandItem(stem, images[stem], masks[stem]) for stem in sorted(images))
@@ -111,9 +109,7 @@ def read_rgb(path: str | pathlib.Path) -> np.ndarray:
     image = _decode(pathlib.Path(path))
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         channels = 1 if image.ndim == 2 else image.shape[2]
-        raise DataError(
-            path, f"has {channels} channel(s) of {image.dtype}; convert it to RGB with 8 bits a channel"
-        )
+        raise DataError(path, f"has {channels} channel(s) of {image.dtype}; convert it to RGB with 8 bits a channel")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -130,9 +126,7 @@ def read_registry(path: str | pathlib.Path) -> dict[str, str]:
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         digest, _, name = line.partition("  ")
         if len(digest) != 64 or not name:
-            raise DataError(
-                path, f"line {number} is {line!r}, not a SHA-256 sum and a path; write it with sha256sum"
-            )
+            raise DataError(path, f"line {number} is {line!r}, not a SHA-256 sum and a path; write it with sha256sum")
         registry[name] = digest
     return registry
 
@@ -157,9 +151,7 @@ def _read(item: HandItem) -> tuple[np.ndarray, np.ndarray]:
     mask = _decode(item.mask)
     if mask.ndim != 2 or mask.dtype != np.uint8:
         channels = 1 if mask.ndim == 2 else mask.shape[2]
-        raise DataError(
-            item.mask, f"has {channels} channel(s) of {mask.dtype}; a mask is of one channel with 8 bits"
-        )
+        raise DataError(item.mask, f"has {channels} channel(s) of {mask.dtype}; a mask is of one channel with 8 bits")
     if mask.shape != rgb.shape[:2]:
         raise DataError(
             item.mask,
@@ -194,9 +186,7 @@ def _check_registered(items: tuple[HandItem, ...], registry: pathlib.Path) -> No
     for path in (path for item in items for path in (item.image, item.mask)):
         resolved = path.resolve()
         if not resolved.is_relative_to(root) or resolved.relative_to(root).as_posix() not in digests:
-            raise DataError(
-                path, f"is not registered in {registry}; the packaged sets are immutable, remove it"
-            )
+            raise DataError(path, f"is not registered in {registry}; the packaged sets are immutable, remove it")
         expected, found = digests[resolved.relative_to(root).as_posix()], sha256_of_file(path)
         if found != expected:
             raise DataError(

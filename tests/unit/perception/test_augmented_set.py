@@ -56,9 +56,7 @@ def test_it_holds_every_variant_of_every_original_and_no_original(made: Augmente
     made.verify()
 
 
-def test_the_number_of_processes_changes_no_byte(
-    made: AugmentedSet, hands: HandSet, tmp_path: pathlib.Path
-) -> None:
+def test_the_number_of_processes_changes_no_byte(made: AugmentedSet, hands: HandSet, tmp_path: pathlib.Path) -> None:
     told: list[tuple[int, int]] = []
     other = write_augmented_set(
         hands,
@@ -92,9 +90,7 @@ def test_what_was_applied_is_counted(made: AugmentedSet) -> None:
     assert sum(applied.values()) == sum(len(recipe["operations"]) for recipe in made.recipes)
 
 
-def test_without_a_folder_of_backgrounds_surfaces_are_procedural(
-    hands: HandSet, tmp_path: pathlib.Path
-) -> None:
+def test_without_a_folder_of_backgrounds_surfaces_are_procedural(hands: HandSet, tmp_path: pathlib.Path) -> None:
     few = AugmentationSettings(n_variants=1, width=64, height=48)
     made = write_augmented_set(hands, None, few, tmp_path / "set", workers=1)
     assert made.background_digest == ""

@@ -55,9 +55,7 @@ def test_reads_rgb_and_binary_masks_of_any_size_in_the_order_of_their_ids(folder
     assert hands.read(0)[0].shape == (27, 32, 3)
 
 
-def test_the_digest_follows_the_content_and_not_the_place(
-    folder: pathlib.Path, tmp_path: pathlib.Path
-) -> None:
+def test_the_digest_follows_the_content_and_not_the_place(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
     copy = tmp_path / "elsewhere"
     shutil.copytree(folder, copy)
     assert HandSet.load(copy).digest == HandSet.load(folder).digest
@@ -227,9 +225,7 @@ def test_a_missing_or_malformed_registry_is_refused(folder: pathlib.Path, tmp_pa
         HandSet.load(folder, tmp_path / "bad.sha256")
 
 
-def test_an_image_in_both_sets_is_found_under_another_name(
-    folder: pathlib.Path, tmp_path: pathlib.Path
-) -> None:
+def test_an_image_in_both_sets_is_found_under_another_name(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
     bgr, mask = picture(1, 25, 32)
     write(tmp_path / "test" / "images" / "renamed.png", bgr)
     write(tmp_path / "test" / "masks" / "renamed.png", mask)
