@@ -1,0 +1,37 @@
+"""Carrying a planned motion out on a simulated iiwa 14, watching it, and judging what was executed."""
+
+from deltasafe.execution.arm import Arm, ArmState, Dynamics, FloatingTool
+from deltasafe.execution.distance import MeshDistance
+from deltasafe.execution.film import FilmSettings, film_frames, save_film
+from deltasafe.execution.impedance import ImpedanceSettings, TaskReference, impedance_torques
+from deltasafe.execution.kinematics import IIWA14_LIMITS, ArmMount, IiwaKinematics, JointLimits
+from deltasafe.execution.recording import PHASES, Execution
+from deltasafe.execution.safety import SafetyVerdict, SpeedBin, body_points, judge
+from deltasafe.execution.simulate import ExecutionSettings, execute, iiwa_for
+
+__all__ = [
+    "IIWA14_LIMITS",
+    "PHASES",
+    "Arm",
+    "ArmMount",
+    "ArmState",
+    "Dynamics",
+    "Execution",
+    "ExecutionSettings",
+    "FilmSettings",
+    "FloatingTool",
+    "IiwaKinematics",
+    "ImpedanceSettings",
+    "JointLimits",
+    "MeshDistance",
+    "SafetyVerdict",
+    "SpeedBin",
+    "TaskReference",
+    "body_points",
+    "execute",
+    "film_frames",
+    "iiwa_for",
+    "impedance_torques",
+    "judge",
+    "save_film",
+]

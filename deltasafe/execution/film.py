@@ -18,7 +18,8 @@ __all__ = ["FilmSettings", "film_frames", "save_film"]
 
 Array = NDArray[np.float64]
 
-_EYE_M, _TARGET_M = (0.62, -0.62, 0.52), (0.0, 0.10, 0.16)
+_EYE_M, _TARGET_M = (0.50, -0.52, 0.42), (0.0, 0.08, 0.17)
+_CUT_ABOVE_TABLE_M = 0.24
 _REFERENCE_RGB, _TRACE_RGB = (150, 150, 160), (20, 110, 220)
 _TEXT_RGB, _BAR_RGB = (235, 235, 235), (32, 34, 38)
 _BAR_PX = 26
@@ -59,7 +60,9 @@ def film_frames(
     """Frames (H, W, 3) uint8: reference in grey, executed path in blue, a line of text below."""
     from deltasafe.execution.iiwa_view import ArmView, Viewpoint
 
-    camera_view = Viewpoint.of_camera(camera, settings.view_width)
+    # the arm passes where the camera hung: its links are cut away, or they would hide what it looks at
+    near_m = float(camera.position_m[2]) - table_z_m - _CUT_ABOVE_TABLE_M
+    camera_view = Viewpoint.of_camera(camera, settings.view_width, max(near_m, 0.01))
     oblique = Viewpoint.looking_at(np.array(_EYE_M), np.array(_TARGET_M), settings.view_width, camera_view.height)
     count = max(2, round(settings.seconds * settings.frames_per_second))
     samples = np.round(np.linspace(0, len(execution.time_s) - 1, count)).astype(int)

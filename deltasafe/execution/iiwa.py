@@ -44,7 +44,8 @@ TOOL_DENSITY_KGPM3 = 1200.0  # printed plastic
 SKIN_RGBA = (0.85, 0.62, 0.50, 1.0)
 TABLE_RGBA = (0.72, 0.70, 0.66, 1.0)
 PEDESTAL_RGBA = (0.35, 0.37, 0.40, 1.0)
-TOOL_RGBA = (0.95, 0.45, 0.10, 1.0)
+TOOL_RGBA = (0.05, 0.50, 0.42, 1.0)
+LINK_RGBA = (0.82, 0.83, 0.85, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -291,6 +292,8 @@ def _write_urdf(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> pat
     robot = tree.getroot()
     for mesh in robot.iter("mesh"):
         mesh.set("filename", str(kuka / str(mesh.get("filename"))))
+    for colour in robot.findall("material[@name='Blue']/color"):
+        colour.set("rgba", " ".join(map(str, LINK_RGBA)))
     for index, joint in enumerate(robot.findall("joint")):
         limit = joint.find("limit")
         assert limit is not None
@@ -315,12 +318,12 @@ def _write_urdf(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> pat
     about = (shaft_kg * body.shaft_radius_m**2) / 2 + disc_kg * (body.semi_axis_x_m**2 + body.semi_axis_y_m**2) / 4
     shapes = ""
     for kind in ("visual", "collision"):
-        colour = f'<material name="Tool"><color rgba="{" ".join(map(str, TOOL_RGBA))}"/></material>'
-        colour = colour if kind == "visual" else ""
+        paint = f'<material name="Tool"><color rgba="{" ".join(map(str, TOOL_RGBA))}"/></material>'
+        paint = paint if kind == "visual" else ""
         shapes += (
-            f'<{kind}><geometry><mesh filename="{disc}"/></geometry>{colour}</{kind}>'
+            f'<{kind}><geometry><mesh filename="{disc}"/></geometry>{paint}</{kind}>'
             f'<{kind}><origin xyz="0 0 {half + shaft_m / 2!r}"/><geometry>'
-            f'<cylinder radius="{body.shaft_radius_m!r}" length="{shaft_m!r}"/></geometry>{colour}</{kind}>'
+            f'<cylinder radius="{body.shaft_radius_m!r}" length="{shaft_m!r}"/></geometry>{paint}</{kind}>'
         )
     robot.append(
         ET.fromstring(

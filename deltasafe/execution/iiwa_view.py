@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 _NEAR_M, _FAR_M = 0.01, 5.0
 _LIGHT = (0.6, -1.0, 2.0)
+_BACKGROUND_RGB = (222, 228, 236)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,8 +37,8 @@ class Viewpoint:
     clip_from_camera: Array
 
     @classmethod
-    def of_camera(cls, camera: Camera, width: int) -> Self:
-        """What the logged camera sees, ``width`` pixels wide."""
+    def of_camera(cls, camera: Camera, width: int, near_m: float = _NEAR_M) -> Self:
+        """What the logged camera sees, ``width`` pixels wide; what is nearer than ``near_m`` is cut away."""
         rotation = np.asarray(camera.world_from_camera_rotation, dtype=np.float64)
         axes = rotation @ np.diag([1.0, -1.0, -1.0])
         clip = _perspective(
@@ -45,6 +46,7 @@ class Viewpoint:
             2 * camera.fy / camera.height,
             1 - 2 * camera.cx / camera.width,
             2 * camera.cy / camera.height - 1,
+            near_m,
         )
         height = round(width * camera.height / camera.width)
         return cls(width, height, _looking(axes, np.asarray(camera.position_m)), clip)
@@ -121,8 +123,10 @@ class ArmView:
             physicsClientId=self._world.client,
         )
         shape = (viewpoint.height, viewpoint.width)
-        picture = np.reshape(np.asarray(rgba, dtype=np.uint8), (*shape, 4))[:, :, :3]
-        return picture, np.reshape(np.asarray(labels, dtype=np.int32), shape)
+        picture = np.reshape(np.asarray(rgba, dtype=np.uint8), (*shape, 4))[:, :, :3].copy()
+        labels = np.reshape(np.asarray(labels, dtype=np.int32), shape)
+        picture[labels < 0] = _BACKGROUND_RGB
+        return picture, labels
 
 
 def _looking(axes: Array, eye_m: Array) -> Array:
@@ -132,13 +136,13 @@ def _looking(axes: Array, eye_m: Array) -> Array:
     return matrix
 
 
-def _perspective(x_scale: float, y_scale: float, x_shift: float, y_shift: float) -> Array:
-    depth = _FAR_M - _NEAR_M
+def _perspective(x_scale: float, y_scale: float, x_shift: float, y_shift: float, near_m: float = _NEAR_M) -> Array:
+    depth = _FAR_M - near_m
     return np.array(
         [
             [x_scale, 0, x_shift, 0],
             [0, y_scale, y_shift, 0],
-            [0, 0, -(_FAR_M + _NEAR_M) / depth, -2 * _FAR_M * _NEAR_M / depth],
+            [0, 0, -(_FAR_M + near_m) / depth, -2 * _FAR_M * near_m / depth],
             [0, 0, -1, 0],
         ],
         dtype=np.float64,
