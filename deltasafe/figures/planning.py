@@ -54,7 +54,7 @@ def plan_over_image(
             f"image {rgb.shape} and probabilities {p_occupied_image.shape} must have the camera's size "
             f"{(camera.height, camera.width)}"
         )
-    figure = Figure(figsize=(12.6, 5.6), dpi=130, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(12.6, 5.9), dpi=130, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(3, 2, width_ratios=(1.5, 1.0))
     _draw_image(figure, figure.add_subplot(grid[:, 0]), rgb, p_occupied_image, camera, motion, body, delta)
@@ -109,9 +109,8 @@ def _draw_image(
             lines.set_array((speed[:-1] + speed[1:]) / 2)
             lines.set_clim(0, 1000 * motion.settings.v_max_mps)
             ax.add_collection(lines)
-            figure.colorbar(lines, ax=ax, orientation="horizontal", shrink=0.6, pad=0.02, aspect=40).set_label(
-                "speed along the path [mm/s]"
-            )
+            bar = ax.inset_axes((0.15, -0.055, 0.7, 0.022))
+            figure.colorbar(lines, cax=bar, orientation="horizontal").set_label("speed along the path [mm/s]")
         else:
             ax.plot(*uv.T, color=LIMIT, lw=2.0, ls="--")
         for label, point, marker in (("start", uv[0], "o"), ("goal", uv[-1], "s")):

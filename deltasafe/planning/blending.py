@@ -77,9 +77,7 @@ def blend_corners(
         if back @ ahead > 1 - 1e-6:  # it turns back on itself
             reach = 0.0
         while reach >= least_reach_m:
-            arc, _, bend = _parabola(
-                points[n] + reach * back, points[n], points[n] + reach * ahead, spacing_m
-            )
+            arc, _, bend = _parabola(points[n] + reach * back, points[n], points[n] + reach * ahead, spacing_m)
             chord = np.linalg.norm(np.diff(arc, axis=0), axis=1)
             if (np.maximum(bend[1:], bend[:-1]) * chord**2 / 8).max() <= tolerance_m and is_safe(arc / scale):
                 break

@@ -95,9 +95,7 @@ class ToolBody:
         spacing = 1.2 * inset
         rim = _inset_ellipse(a, b, inset, spacing)
         pitch = 1.5 * inset
-        x, y = np.meshgrid(
-            np.arange(-a, a + pitch, pitch), np.arange(-b, b + pitch, pitch * math.sqrt(3) / 2)
-        )
+        x, y = np.meshgrid(np.arange(-a, a + pitch, pitch), np.arange(-b, b + pitch, pitch * math.sqrt(3) / 2))
         x = x + np.where(np.arange(len(x)) % 2, pitch / 2, 0.0)[:, None]
         inner = np.column_stack([x.ravel(), y.ravel()])
         inner_a, inner_b = a - inset - 0.5 * pitch, b - inset - 0.5 * pitch

@@ -123,11 +123,7 @@ def segment_test(
 
 def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
     """Whether the segment between two poses (4,), yaw turning linearly, passes; symmetric in its ends."""
-    return bool(
-        ask_segment(
-            test, np.asarray(start, dtype=np.float64).copy(), np.asarray(end, dtype=np.float64).copy()
-        )
-    )
+    return bool(ask_segment(test, np.asarray(start, dtype=np.float64).copy(), np.asarray(end, dtype=np.float64).copy()))
 
 
 def body_clearance_m(test: SegmentTest, poses: Array) -> Array:
@@ -173,10 +169,7 @@ def _at_poses(field, cover, samples, numbers, start, end):  # type: ignore[no-un
         if numbers.use_certificate and _certified(field, numbers, x, y, z, need_m):
             continue
         if numbers.method == 1:
-            if (
-                _clearance(field.ball, field.ray, field.lattice, cover, numbers, x, y, z, yaw, need_m, need_m)
-                < need_m
-            ):
+            if _clearance(field.ball, field.ray, field.lattice, cover, numbers, x, y, z, yaw, need_m, need_m) < need_m:
                 return False
         else:
             bits = _scramble(key + np.uint64(step) * np.uint64(0x9E3779B97F4A7C15))

@@ -90,13 +90,11 @@ class PlannedMotion:
         folder = pathlib.Path(folder)
         record = read_json(folder / "motion.json")
         if not isinstance(record, dict) or record.get("format") != FORMAT:
-            raise DataError(
-                folder / "motion.json", f"is not a planned motion of format {FORMAT}; plan it again"
-            )
+            raise DataError(folder / "motion.json", f"is not a planned motion of format {FORMAT}; plan it again")
         try:
             with np.load(folder / "motion.npz", allow_pickle=False) as stored:
                 arrays = dict(stored)
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
+        except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
             raise DataError(folder / "motion.npz", f"is not readable ({error})") from error
         try:
             result = dict(record["result"])
@@ -142,9 +140,7 @@ def plan_motion(
         reason = f"{result.status}: {result.message}"
     else:
         try:
-            trajectory, profile = schedule(
-                result.path, field, settings, body, tracking, settings.rotation_weight_m2
-            )
+            trajectory, profile = schedule(result.path, field, settings, body, tracking, settings.rotation_weight_m2)
         except PlanningError as error:
             reason = str(error)
     return PlannedMotion(result, trajectory, profile, reason, settings, body, tracking, seed)

@@ -94,9 +94,7 @@ def _refine(constraint, cost, poses, lower, upper, n_steps, seed):  # type: igno
                 moved[axis] = min(max(value, lower[axis]), upper[axis])
             if np.random.random() < 0.3:  # toward its neighbours in yaw: rotation is seldom needed
                 moved[:3] = path[i, :3]
-                moved[3] = path[i, 3] + np.random.random() * (
-                    0.5 * (path[i - 1, 3] + path[i + 1, 3]) - path[i, 3]
-                )
+                moved[3] = path[i, 3] + np.random.random() * (0.5 * (path[i - 1, 3] + path[i + 1, 3]) - path[i, 3])
             old = segment_cost(cost, path[i - 1], path[i]) + segment_cost(cost, path[i], path[i + 1])
             new = segment_cost(cost, path[i - 1], moved) + segment_cost(cost, moved, path[i + 1])
             if (

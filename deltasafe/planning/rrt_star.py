@@ -60,7 +60,7 @@ def grow_tree(
     """Grow a tree for ``n_iterations``, whether or not the goal is reached earlier.
 
     Near sets are the k nearest, k = near_factor * e (1 + 1/d) ln n with d = 4 (decision 19). Once solved, samples
-    that cannot improve the solution are not drawn (``informed``).
+    that cannot improve the solution are not drawn (``informed``). The straight segment to the goal is tried first.
 
     Args:
         constraint: a ``NamedTuple`` registered with ``answers_segments``.
@@ -119,6 +119,9 @@ def _grow(  # type: ignore[no-untyped-def]
     refused = np.empty(k_most, np.bool_)
     sample, new = np.empty(4), np.empty(4)
     count, solved_at = 2, -1
+    if segment_is_safe(constraint, start, goal):
+        costs[GOAL], solved_at = segment_cost(cost, start, goal), 0
+        _attach(parent, links, GOAL, START)
     for iteration in range(n_iterations):
         at_goal = np.random.random() < goal_bias and solved_at < 0
         if at_goal:

@@ -153,9 +153,7 @@ def plan(
     if field.delta != settings.delta:
         raise SettingsError(f"the field was built for delta {field.delta}, the settings ask {settings.delta}")
     margin_m = float(tracking.error_m(settings.v_min_mps)) + settings.reserve_m
-    verifier = segment_test(
-        field, body, margin_m, dataclasses.replace(_checks(settings), method="continuous"), seed
-    )
+    verifier = segment_test(field, body, margin_m, dataclasses.replace(_checks(settings), method="continuous"), seed)
     ends = start.as_array(), goal.as_array()
     ends[1][3] = ends[0][3] + float(wrap_to_pi(ends[1][3] - ends[0][3]))
     for name, pose, status in zip(
@@ -171,9 +169,7 @@ def plan(
                 f"{1000 * margin_m:.1f} mm are needed: move it away from what may be occupied",
             )
     lower, upper = _bounds(field, settings, *ends)
-    cost = line_cost(
-        settings.cost, settings.rotation_weight_m2, field.arrays.floor_z_m, settings.length_weight_m
-    )
+    cost = line_cost(settings.cost, settings.rotation_weight_m2, field.arrays.floor_z_m, settings.length_weight_m)
     test = segment_test(field, body, margin_m, _checks(settings), seed)
     tree = grow_tree(
         test,
@@ -229,12 +225,8 @@ def _checks(settings: PlannerSettings) -> CheckSettings:
     return CheckSettings(**{f.name: getattr(settings, f.name) for f in dataclasses.fields(CheckSettings)})
 
 
-def _failure(
-    status: PlanStatus, margin_m: float, clearance_m: float, message: str, *counts: int
-) -> PlanResult:
-    return PlanResult(
-        status, None, margin_m, clearance_m, None, None, None, *(counts or (0, 0, -1)), message=message
-    )
+def _failure(status: PlanStatus, margin_m: float, clearance_m: float, message: str, *counts: int) -> PlanResult:
+    return PlanResult(status, None, margin_m, clearance_m, None, None, None, *(counts or (0, 0, -1)), message=message)
 
 
 def _bounds(field: SafetyField, settings: PlannerSettings, start: Array, goal: Array) -> tuple[Array, Array]:
@@ -273,9 +265,7 @@ def _is_connected(
     passable[:, :, : max(int(first[2]), 0)] = False
     passable[:, :, int(last[2]) + 1 :] = False
     labels, _ = ndimage.label(passable, structure=np.ones((3, 3, 3)))
-    cells = [
-        tuple(np.clip((pose[:3] - origin_m) // voxel_m, 0, shape - 1).astype(int)) for pose in (start, goal)
-    ]
+    cells = [tuple(np.clip((pose[:3] - origin_m) // voxel_m, 0, shape - 1).astype(int)) for pose in (start, goal)]
     return bool(labels[cells[0]] != 0 and labels[cells[0]] == labels[cells[1]])
 
 

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.geometry import PosePath, Trajectory
@@ -122,22 +123,16 @@ def schedule(
     allowed_mps = np.clip(tracking.speed_mps(clearance_m), settings.v_min_mps, settings.v_max_mps)
     # between two places the clearance falls by at most the way to the nearer one, but never below the margin
     lowest_m = np.maximum((clearance_m[:-1] + clearance_m[1:] - motion_m) / 2, margin_m)
-    cell_mps = np.clip(tracking.speed_mps(lowest_m), settings.v_min_mps, settings.v_max_mps)
+    cell_mps = _smoothed(np.clip(tracking.speed_mps(lowest_m), settings.v_min_mps, settings.v_max_mps))
     rate = _rates(curve, cell_mps, settings, body.rho_max_m, rotation_weight_m2)
     trajectory = _sampled(curve, rate, settings)
-    per_length = np.maximum(
-        _point_speed(curve.before, body.rho_max_m), _point_speed(curve.after, body.rho_max_m)
-    )
+    per_length = np.maximum(_point_speed(curve.before, body.rho_max_m), _point_speed(curve.after, body.rho_max_m))
     steps_m = np.linalg.norm(np.diff(curve.poses[:, :3], axis=0), axis=1)
-    profile = SpeedProfile(
-        np.append(0.0, np.cumsum(steps_m)), clearance_m, allowed_mps, rate * per_length, curve.poses
-    )
+    profile = SpeedProfile(np.append(0.0, np.cumsum(steps_m)), clearance_m, allowed_mps, rate * per_length, curve.poses)
     return trajectory, profile
 
 
-def _rates(
-    curve: SmoothPath, cell_mps: Array, settings: VelocitySettings, rho_max_m: float, weight_m2: float
-) -> Array:
+def _rates(curve: SmoothPath, cell_mps: Array, settings: VelocitySettings, rho_max_m: float, weight_m2: float) -> Array:
     """dl/dt (N,) at the places of the curve: forward and backward pass on its square, linear in each cell."""
     slopes = np.stack([curve.after[:-1], curve.before[1:]])
     spread = 1 + 1e-3 * (curve.bend > 0)  # slopes inside a bent cell differ a little from those at its ends
@@ -201,9 +196,7 @@ def _verify(test: SegmentTest, poses: Array, margin_m: float) -> None:
             near = a + shares[:, None] * (b - a)
             clearance_m = body_clearance_m(test, near)
             worst = int(clearance_m.argmin())
-            raise PlanningError(
-                _place(way_m + shares[worst] * leg_m, near[worst], float(clearance_m[worst]), margin_m)
-            )
+            raise PlanningError(_place(way_m + shares[worst] * leg_m, near[worst], float(clearance_m[worst]), margin_m))
         way_m += leg_m
 
 
@@ -221,6 +214,13 @@ def _point_speed(slopes: Array, rho_max_m: float) -> Array:
 
 def _motion(poses: Array, rho_max_m: float) -> Array:
     return _point_speed(np.diff(poses, axis=0), rho_max_m)
+
+
+def _smoothed(limit: Array, reach: int = 5) -> Array:
+    """A calmer limit that is nowhere above the given one: the mean of its running minima over the same window."""
+    width = 2 * reach + 1
+    least = ndimage.minimum_filter1d(limit, width, mode="nearest")
+    return np.asarray(np.minimum(ndimage.uniform_filter1d(least, width, mode="nearest"), limit))
 
 
 def _lipschitz(clearance_m: Array, motion_m: Array) -> Array:

@@ -42,9 +42,7 @@ class Camera:
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             if not (isinstance(getattr(self, name), int) and getattr(self, name) > 0):
-                raise SettingsError(
-                    f"{name} must be a positive number of pixels, got {getattr(self, name)!r}"
-                )
+                raise SettingsError(f"{name} must be a positive number of pixels, got {getattr(self, name)!r}")
         for name in ("fx", "fy", "cx", "cy"):
             if not math.isfinite(getattr(self, name)):
                 raise SettingsError(f"{name} must be finite, got {getattr(self, name)!r}")
@@ -74,8 +72,7 @@ class Camera:
         try:
             numbers = {name: float(value[name]) for name in ("fx", "fy", "cx", "cy")}
             arrays = {
-                name: np.asarray(value[name], dtype=np.float64)
-                for name in ("position_m", "world_from_camera_rotation")
+                name: np.asarray(value[name], dtype=np.float64) for name in ("position_m", "world_from_camera_rotation")
             }
         except (TypeError, ValueError) as error:
             raise SettingsError(f"camera holds a value that is not a number ({error})") from error

@@ -69,9 +69,7 @@ def grid_from_image(
         raise SettingsError(f"hand_height_m must be positive, got {hand_height_m}")
     layers = math.ceil((hand_height_m + settings.depth_margin_m) / settings.voxel_m - 1e-9)
     if camera.position_m[2] <= table_z_m + layers * settings.voxel_m:
-        raise SettingsError(
-            f"the camera at z = {camera.position_m[2]} m must be above the hand and its margin"
-        )
+        raise SettingsError(f"the camera at z = {camera.position_m[2]} m must be above the hand and its margin")
     corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]])
     seen = camera.pixel_to_plane(corners.astype(np.float64), table_z_m)[:, :2]
     origin_m = np.append(np.floor(seen.min(axis=0) / settings.voxel_m) * settings.voxel_m, table_z_m)

@@ -87,7 +87,7 @@ class LoggedScene:
         try:
             with np.load(self.mesh_path, allow_pickle=False) as arrays:
                 vertices_m, triangles = arrays["vertices_m"], arrays["triangles"]
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise DataError(self.mesh_path, f"is not a mesh ({error})") from error
         if vertices_m.ndim != 2 or vertices_m.shape[1] != 3 or not np.isfinite(vertices_m).all():
             raise DataError(self.mesh_path, f"vertices_m must be finite (V, 3), got shape {vertices_m.shape}")

@@ -88,5 +88,5 @@ class OccupancyGrid:
         try:
             with np.load(file, allow_pickle=False) as arrays:
                 return cls(arrays["p_occupied"], arrays["origin_m"], float(arrays["voxel_m"]))
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise DataError(file, f"is not an occupancy grid ({error})") from error

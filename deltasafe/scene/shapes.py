@@ -80,9 +80,7 @@ def grid_from_shapes(
     """
     lower, upper = np.asarray(lower_m, dtype=np.float64), np.asarray(upper_m, dtype=np.float64)
     if not (upper > lower).all() or not voxel_m > 0:
-        raise SettingsError(
-            f"a grid needs upper > lower and voxel_m > 0, got {lower_m}, {upper_m}, {voxel_m}"
-        )
+        raise SettingsError(f"a grid needs upper > lower and voxel_m > 0, got {lower_m}, {upper_m}, {voxel_m}")
     counts = np.ceil((upper - lower) / voxel_m - 1e-9).astype(int)
     axes = [lower[i] + voxel_m * (np.arange(counts[i]) + 0.5) for i in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+
+from deltasafe.errors import SettingsError
+from deltasafe.planning import ToolBody
+from deltasafe.planning.body import distance_to_ellipse
+
+BODIES = [
+    ToolBody(),
+    ToolBody(0.04, 0.02, 0.004, 0.004, 0.1),
+    ToolBody(0.015, 0.03, 0.012),
+    ToolBody(0.02, 0.02, 0.01),
+]
+
+
+@given(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(0.01, 0.05), st.floats(0.01, 0.05))
+def test_distance_to_an_ellipse_against_a_search(x: float, y: float, a: float, b: float) -> None:
+    distance_m = distance_to_ellipse(np.array([[x, y]]), a, b)[0]
+    if (x / a) ** 2 + (y / b) ** 2 <= 1:
+        assert distance_m == 0
+        return
+    angles = np.linspace(0, 2 * np.pi, 721)
+    best = angles[np.hypot(a * np.cos(angles) - x, b * np.sin(angles) - y).argmin()]
+    found = minimize_scalar(
+        lambda t: np.hypot(a * np.cos(t) - x, b * np.sin(t) - y),
+        bounds=(best - 0.01, best + 0.01),
+        method="bounded",
+        options={"xatol": 1e-12},
+    )
+    assert distance_m == pytest.approx(found.fun, abs=1e-7)
+
+
+def test_distance_to_the_body_in_closed_form() -> None:
+    body = ToolBody()
+    points = np.array(
+        [[0, 0, 0], [0.04, 0, 0], [0, 0.02, 0], [0.02, 0, 0.009], [0.01, 0, 0.1], [0, 0, 0.26], [0.033, 0, 0.009]]
+    )
+    np.testing.assert_allclose(body.distance_m(points), [0, 0.01, 0.005, 0.004, 0.005, 0.01, 0.005], atol=1e-12)
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_the_cover_contains_the_disc_and_is_tight(body: ToolBody) -> None:
+    centres, radius_m = body.disc_cover
+    disc = ToolBody(*[getattr(body, n) for n in ("semi_axis_x_m", "semi_axis_y_m", "thickness_m")], 1e-4, 2e-4)
+    rng = np.random.default_rng(0)
+    points = disc.samples(0.0, 4000, 1)
+    angle = rng.uniform(0, 2 * np.pi, 2000)
+    rim = np.column_stack([body.semi_axis_x_m * np.cos(angle), body.semi_axis_y_m * np.sin(angle)])
+    edge = np.column_stack([rim, rng.choice([-1, 1], 2000) * body.thickness_m / 2])
+    for part in (points, edge):
+        nearest = np.linalg.norm(part[:, None] - centres[None], axis=2).min(axis=1)
+        assert nearest.max() <= radius_m + 1e-12
+    way = rng.normal(size=(300, 3))
+    surface = centres[:, None] + radius_m * (way / np.linalg.norm(way, axis=1)[:, None])[None]
+    assert body.distance_m(surface.reshape(-1, 3)).max() < 0.0025
+
+
+@pytest.mark.parametrize("margin_m", [0.0, 0.0055])
+def test_samples_are_uniform_on_the_true_enlargement(margin_m: float) -> None:
+    """Shares of sub-boxes against an independent count of lattice points."""
+    body = ToolBody(shaft_length_m=0.05)
+    samples = body.samples(margin_m, 40000, seed=3)
+    assert body.distance_m(samples).max() <= margin_m
+    axes = [np.arange(-40, 40) * 0.001, np.arange(-30, 30) * 0.001, np.arange(-30, 120) * 0.0005]
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3) + (0.0005, 0.0005, 0.00025)
+    lattice = lattice[body.distance_m(lattice) <= margin_m]
+    for axis, cut in ((0, 0.015), (1, -0.005), (2, 0.0), (2, 0.008), (2, 0.03)):
+        expected = (lattice[:, axis] < cut).mean()
+        # five standard deviations, and the resolution of the lattice
+        assert (samples[:, axis] < cut).mean() == pytest.approx(expected, abs=5 * 0.5 / 200 + 0.008)
+
+
+def test_samples_are_determined_by_their_seed() -> None:
+    assert (ToolBody().samples(0.001, 50, 7) == ToolBody().samples(0.001, 50, 7)).all()
+    assert (ToolBody().samples(0.001, 50, 7) != ToolBody().samples(0.001, 50, 8)).any()
+    with pytest.raises(SettingsError, match="margin_m"):
+        ToolBody().samples(-1.0, 5, 0)

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deltasafe.errors import SettingsError
+from deltasafe.planning import SafetyField
+from deltasafe.planning.field import REACH_M, squared_distance_to_voxels
+from deltasafe.scene import OccupancyGrid
+
+
+def box_distance(points: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """(N,) smallest distance of points (N, 3) to any of the boxes (M, 3), (M, 3)."""
+    gaps = np.maximum(np.maximum(lower[None] - points[:, None], points[:, None] - upper[None]), 0)
+    return np.linalg.norm(gaps, axis=2).min(axis=1)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 9), st.floats(0.01, 0.3))
+def test_distance_transform_against_brute_force(seed: int, reach: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    unsafe = rng.random(rng.integers(1, 9, 3)) < share
+    squared = squared_distance_to_voxels(unsafe, reach)
+    cells = np.argwhere(unsafe)
+    centres = np.argwhere(np.ones_like(unsafe)) + 0.5
+    expected = np.full(len(centres), float(reach**2))
+    if len(cells):
+        expected = np.minimum(box_distance(centres, cells, cells + 1) ** 2, reach**2)
+    np.testing.assert_allclose(squared.ravel(), expected, rtol=1e-6)
+
+
+def truth(grid: OccupancyGrid, delta: float, points: np.ndarray) -> np.ndarray:
+    """Distance to unsafe voxels, to everything beside the grid below its top, and to the table."""
+    cells = np.argwhere(grid.p_occupied > delta)
+    lower = grid.origin_m + cells * grid.voxel_m
+    far = 9.0
+    (x0, y0, z0), (x1, y1, z1) = grid.origin_m, grid.upper_m
+    sides_low = [[-far, -far, z0], [x1, -far, z0], [-far, -far, z0], [-far, y1, z0], [-far, -far, -far]]
+    sides_high = [[x0, far, z1], [far, far, z1], [far, y0, z1], [far, far, z1], [far, far, z0]]
+    return box_distance(points, np.vstack([lower, sides_low]), np.vstack([lower + grid.voxel_m, sides_high]))
+
+
+def test_clearance_is_a_tight_lower_bound_everywhere() -> None:
+    rng = np.random.default_rng(4)
+    p_occupied = np.where(rng.random((20, 16, 8)) < 0.01, rng.random((20, 16, 8)), 0).astype(np.float32)
+    grid = OccupancyGrid(p_occupied, np.array([-0.05, 0.1, 0.2]), 0.005)
+    field = SafetyField.build(grid, 0.05)
+    points = rng.uniform(grid.origin_m - 0.02, grid.upper_m + (0.02, 0.02, 0.12), (3000, 3))
+    expected = truth(grid, 0.05, points)
+    clearance_m = field.clearance_m(points)
+    assert (clearance_m <= expected + 1e-9).all()
+    free = expected > 0
+    assert 500 < free.sum() < 2900
+    assert (clearance_m[~free] <= 0).all()
+    assert (clearance_m >= np.minimum(expected, REACH_M) - grid.voxel_m * np.sqrt(3) - 1e-9)[free].all()
+    assert ((clearance_m > 0) <= (grid.at(points) <= 0.05)).all()
+
+
+def test_the_ray_array_bounds_all_that_is_above() -> None:
+    rng = np.random.default_rng(5)
+    grid = OccupancyGrid((rng.random((12, 12, 10)) < 0.01).astype(np.float32), np.zeros(3), 0.005)
+    arrays = SafetyField.build(grid, 0.5).arrays
+    for k in range(arrays.ball.shape[2]):
+        assert (arrays.ray[:, :, k] == arrays.ball[:, :, k:].min(axis=2)).all()
+
+
+def test_the_coarse_grid_bounds_the_fine_one() -> None:
+    rng = np.random.default_rng(6)
+    grid = OccupancyGrid((rng.random((21, 17, 10)) < 0.01).astype(np.float32), np.zeros(3), 0.0025)
+    arrays = SafetyField.build(grid, 0.5).arrays
+    index = np.argwhere(arrays.ball >= 0)
+    coarse = arrays.coarse_ball[tuple((index // arrays.lattice.stride).T)]
+    assert (coarse <= arrays.ball[tuple(index.T)] - 0.0025 * np.sqrt(3) / 2 + 1e-7).all()
+    assert arrays.lattice.stride == 4
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0.02, 0.5), st.floats(0.02, 0.5))
+def test_a_smaller_delta_never_gives_more_room(seed: int, one: float, other: float) -> None:
+    rng = np.random.default_rng(seed)
+    grid = OccupancyGrid((rng.random((8, 8, 6)) ** 4).astype(np.float32), np.zeros(3), 0.01)
+    low, high = (SafetyField.build(grid, delta).arrays for delta in sorted((one, other)))
+    for name in ("ball", "ray", "coarse_ball", "coarse_ray"):
+        assert (getattr(low, name) <= getattr(high, name)).all()
+
+
+@pytest.mark.parametrize("delta", [0.0, 1.0, float("nan")])
+def test_delta_must_be_a_probability(delta: float) -> None:
+    grid = OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 0.01)
+    with pytest.raises(SettingsError, match="delta"):
+        SafetyField.build(grid, delta)

@@ -1,0 +1,109 @@
+import json
+import pathlib
+
+import numpy as np
+import pytest
+
+from deltasafe import compiling
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.geometry import Pose
+from deltasafe.planning import MotionSettings, PlannedMotion, PlanStatus, plan_motion
+from deltasafe.scene import Cuboid, OccupancyGrid, grid_from_shapes
+
+START, GOAL = Pose(-0.14, 0.0, 0.03), Pose(0.14, 0.0, 0.03, 0.5)
+
+
+@pytest.fixture(scope="module")
+def grid() -> OccupancyGrid:
+    return grid_from_shapes(
+        [Cuboid((0, 0, 0.03), (0.02, 0.05, 0.03))], 0.01, (-0.2, -0.15, 0), (0.2, 0.15, 0.09), 0.005
+    )
+
+
+@pytest.fixture(scope="module")
+def motion(grid: OccupancyGrid) -> PlannedMotion:
+    return plan_motion(grid, START, GOAL, 0.0, MotionSettings(n_iterations=500), 3)
+
+
+def test_a_motion_is_complete_and_survives_storage(motion: PlannedMotion, tmp_path: pathlib.Path) -> None:
+    assert motion.is_safe
+    assert motion.reason == ""
+    motion.save(tmp_path / "motion")
+    again = PlannedMotion.load(tmp_path / "motion")
+    assert again.result.path is not None
+    assert motion.result.path is not None
+    assert (again.result.path.poses == motion.result.path.poses).all()
+    for name in ("time_s", "poses", "velocities"):
+        assert (getattr(again.trajectory, name) == getattr(motion.trajectory, name)).all()
+    for name in ("clearance_m", "limit_mps", "speed_mps", "arc_length_m", "poses"):
+        assert (getattr(again.profile, name) == getattr(motion.profile, name)).all()
+    for name in ("settings", "body", "tracking", "seed", "reason"):
+        assert getattr(again, name) == getattr(motion, name)
+    assert again.result.status is PlanStatus.SOLVED
+    assert again.result.clearance_m == motion.result.clearance_m
+
+
+def test_no_path_is_an_outcome_and_survives_storage(grid: OccupancyGrid, tmp_path: pathlib.Path) -> None:
+    motion = plan_motion(grid, Pose(0, 0, 0.03), GOAL, 0.0, MotionSettings(), 0)
+    assert not motion.is_safe
+    assert motion.trajectory is None
+    assert motion.reason.startswith("start unsafe")
+    motion.save(tmp_path / "motion")
+    again = PlannedMotion.load(tmp_path / "motion")
+    assert again.reason == motion.reason
+    assert again.result.status is PlanStatus.START_UNSAFE
+    assert again.result.path is None
+
+
+def test_broken_storage_is_named(motion: PlannedMotion, tmp_path: pathlib.Path) -> None:
+    folder = tmp_path / "motion"
+    with pytest.raises(DataError, match=r"motion\.json"):
+        PlannedMotion.load(folder)
+    motion.save(folder)
+    record = json.loads((folder / "motion.json").read_text())
+    (folder / "motion.json").write_text(json.dumps(record | {"settings": {"hope": 1}}))
+    with pytest.raises(DataError, match="hope"):
+        PlannedMotion.load(folder)
+    (folder / "motion.json").write_text(json.dumps(record | {"format": 99}))
+    with pytest.raises(DataError, match="format"):
+        PlannedMotion.load(folder)
+    (folder / "motion.json").write_text(json.dumps(record))
+    (folder / "motion.npz").write_bytes(b"")
+    with pytest.raises(DataError, match=r"motion\.npz"):
+        PlannedMotion.load(folder)
+
+
+def test_the_grid_must_stand_on_the_table(grid: OccupancyGrid) -> None:
+    with pytest.raises(SettingsError, match="stand on the table"):
+        plan_motion(grid, START, GOAL, 0.01, MotionSettings(), 0)
+
+
+def test_settings_are_flat_and_plain() -> None:
+    import dataclasses
+
+    values = dataclasses.asdict(MotionSettings())
+    assert all(isinstance(value, int | float | str | bool) for value in values.values())
+    assert values["n_iterations"] == 2000
+    assert values["v_max_mps"] == 0.2
+    assert MotionSettings(**json.loads(json.dumps(values))) == MotionSettings()
+
+
+def test_the_compiled_cache_notices_a_change_of_any_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    """numba looks at one file only; a stale collision test would be run unnoticed."""
+
+    def stamp() -> str:
+        return compiling.compiled(_double)._cache._cache_file._source_stamp
+
+    before = stamp()
+    read = pathlib.Path.read_bytes
+    monkeypatch.setattr(
+        pathlib.Path, "read_bytes", lambda path: read(path) + (b"#" if path.name == "checks.py" else b"")
+    )
+    compiling._digest_of_sources.cache_clear()
+    after = stamp()
+    compiling._digest_of_sources.cache_clear()
+    assert before != after
+
+
+def _double(value):  # type: ignore[no-untyped-def]
+    return 2 * value
