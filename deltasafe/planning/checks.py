@@ -155,7 +155,7 @@ def _motion(rho_max_m, start, end):  # type: ignore[no-untyped-def]
 @compiled
 def _at_poses(field, cover, samples, numbers, start, end):  # type: ignore[no-untyped-def]
     """``exact`` and ``sampled``: poses at most Delta_p apart, both ends included, with margin for the way between."""
-    steps = max(1, int(math.ceil(_motion(numbers.rho_max_m, start, end) / numbers.delta_p_m)))
+    steps = max(1, int(np.ceil(_motion(numbers.rho_max_m, start, end) / numbers.delta_p_m)))
     need_m = numbers.margin_m + numbers.delta_p_m / 2
     key = _mix(np.uint64(numbers.seed), start, end)
     for step in range(steps + 1):

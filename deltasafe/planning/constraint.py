@@ -29,7 +29,7 @@ def answers_segments(constraint_type: type) -> Callable[[Any], Any]:
             if isinstance(constraint, types.BaseTuple) and (
                 getattr(constraint, "instance_class", None) is constraint_type
             ):
-                return lambda constraint, start, end: test(constraint, start, end)
+                return lambda constraint, start, end: test(constraint, start, end)  # noqa: PLW0108 - numba reads it
             return None
 
         return test

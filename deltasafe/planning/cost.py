@@ -1,5 +1,6 @@
 """What a segment costs: the paper's line cost, its additive root, and the area between path and table."""
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -49,7 +50,7 @@ def line_cost(
 
 def path_cost(cost: LineCost, poses: Array) -> float:
     """Sum of the line costs of a polyline (K, 4)."""
-    return float(sum(segment_cost(cost, a, b) for a, b in zip(poses[:-1], poses[1:], strict=True)))
+    return float(sum(segment_cost(cost, a, b) for a, b in itertools.pairwise(poses)))
 
 
 def area_m2(poses: Array, table_z_m: float) -> float:

@@ -88,7 +88,9 @@ class SafetyField:
                 float(grid.origin_m[1] - grid.voxel_m),
                 float(grid.origin_m[2]),
                 grid.voxel_m,
-                *ball.shape,
+                ball.shape[0],
+                ball.shape[1],
+                ball.shape[2],
                 stride,
             ),
             floor_z_m=float(grid.origin_m[2]),
@@ -130,9 +132,9 @@ def close_clearance_at(distances, lattice, x, y, z):  # type: ignore[no-untyped-
     u = min(max((x - lattice.lower_x_m) / lattice.voxel_m, 0.0), float(lattice.nx)) - 0.5
     v = min(max((y - lattice.lower_y_m) / lattice.voxel_m, 0.0), float(lattice.ny)) - 0.5
     w = min(max((z - lattice.lower_z_m) / lattice.voxel_m, 0.0), float(lattice.nz)) - 0.5
-    i = min(max(int(math.floor(u)), 0), max(lattice.nx - 2, 0))
-    j = min(max(int(math.floor(v)), 0), max(lattice.ny - 2, 0))
-    k = min(max(int(math.floor(w)), 0), max(lattice.nz - 2, 0))
+    i = min(max(int(np.floor(u)), 0), max(lattice.nx - 2, 0))
+    j = min(max(int(np.floor(v)), 0), max(lattice.ny - 2, 0))
+    k = min(max(int(np.floor(w)), 0), max(lattice.nz - 2, 0))
     best = -np.inf
     for di in range(min(2, lattice.nx)):
         for dj in range(min(2, lattice.ny)):
@@ -162,7 +164,7 @@ def _clearances(field, points_m):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def squared_distance_to_voxels(unsafe, reach):  # type: ignore[no-untyped-def]
+def squared_distance_to_voxels(unsafe, reach):  # type: ignore[no-untyped-def]  # noqa: PLR0912 - three axes
     """Squared distance, in voxels, from each centre to the nearest point of an unsafe voxel; at most reach^2.
 
     Separable: along each axis the distance to a voxel n away is n - 1/2 (0 for n = 0). Along z two sweeps do;

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import pathlib
 import zipfile
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +70,7 @@ class PlannedMotion:
             "tracking": dataclasses.asdict(self.tracking),
             "seed": self.seed,
         }
-        arrays = {}
+        arrays: dict[str, Any] = {}
         if self.result.path is not None:
             arrays["path"] = self.result.path.poses
         for prefix, group in (("trajectory", self.trajectory), ("profile", self.profile)):

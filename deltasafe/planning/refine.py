@@ -1,5 +1,6 @@
 """Refinement of a path that is already safe: shortcuts and moved vertices, each tested like any edge."""
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -33,7 +34,7 @@ def refine_path(
     if n_steps < 1 or not 2 <= len(poses) <= MOST_VERTICES - 2:
         return poses
     bounds = (np.ascontiguousarray(value, dtype=np.float64) for value in (lower, upper))
-    refined = np.asarray(_refine(constraint, cost, poses, *bounds, int(n_steps), int(seed) % 2**32))
+    refined = np.asarray(_refine(constraint, cost, poses, *bounds, int(n_steps), np.random.default_rng(seed)))
     return _tidied(constraint, cost, refined)
 
 
@@ -46,7 +47,7 @@ def _tidied(constraint: Any, cost: LineCost, poses: Array) -> Array:
                 continue
             first, last = max(n - 1, 0), min(n + 1, len(candidate) - 1)
             changed = candidate[first : last + 1]
-            if all(ask_segment(constraint, a, b) for a, b in zip(changed[:-1], changed[1:], strict=True)):
+            if all(ask_segment(constraint, a, b) for a, b in itertools.pairwise(changed)):
                 best, least = candidate, path_cost(cost, candidate)
         if best is None:
             n += 1
@@ -76,25 +77,24 @@ def _candidates(cost: LineCost, poses: Array, n: int) -> Iterator[Array]:
 
 
 @compiled
-def _refine(constraint, cost, poses, lower, upper, n_steps, seed):  # type: ignore[no-untyped-def]
-    np.random.seed(seed)
+def _refine(constraint, cost, poses, lower, upper, n_steps, rng):  # type: ignore[no-untyped-def]
     path = np.empty((MOST_VERTICES, 4))
     count = len(poses)
     path[:count] = poses
     first, second, moved = np.empty(4), np.empty(4), np.empty(4)
     width = np.array([0.02, 0.02, 0.02, 0.2])
     for step in range(n_steps):
-        if np.random.random() < 0.5:
-            count = _cut(constraint, cost, path, count, first, second)
+        if rng.random() < 0.5:
+            count = _cut(constraint, cost, path, count, rng, first, second)
         elif count > 2:
-            i = 1 + int(np.random.random() * (count - 2))
+            i = 1 + int(rng.random() * (count - 2))
             shrink = (1.0 - step / n_steps) ** 2 + 0.02
             for axis in range(4):
-                value = path[i, axis] + shrink * width[axis] * np.random.standard_normal()
+                value = path[i, axis] + shrink * width[axis] * rng.standard_normal()
                 moved[axis] = min(max(value, lower[axis]), upper[axis])
-            if np.random.random() < 0.3:  # toward its neighbours in yaw: rotation is seldom needed
+            if rng.random() < 0.3:  # toward its neighbours in yaw: rotation is seldom needed
                 moved[:3] = path[i, :3]
-                moved[3] = path[i, 3] + np.random.random() * (0.5 * (path[i - 1, 3] + path[i + 1, 3]) - path[i, 3])
+                moved[3] = path[i, 3] + rng.random() * (0.5 * (path[i - 1, 3] + path[i + 1, 3]) - path[i, 3])
             old = segment_cost(cost, path[i - 1], path[i]) + segment_cost(cost, path[i], path[i + 1])
             new = segment_cost(cost, path[i - 1], moved) + segment_cost(cost, moved, path[i + 1])
             if (
@@ -107,9 +107,9 @@ def _refine(constraint, cost, poses, lower, upper, n_steps, seed):  # type: igno
 
 
 @compiled
-def _cut(constraint, cost, path, count, first, second):  # type: ignore[no-untyped-def]
+def _cut(constraint, cost, path, count, rng, first, second):  # type: ignore[no-untyped-def]
     """Replace the path between two random places on it by a straight segment, if that is cheaper and safe."""
-    a, b = np.random.random() * (count - 1), np.random.random() * (count - 1)
+    a, b = rng.random() * (count - 1), rng.random() * (count - 1)
     i, s = _place(min(a, b))
     j, t = _place(max(a, b))
     after = j + 1 if t > 0.0 else j  # the first vertex beyond the cut

@@ -83,13 +83,13 @@ def grow_tree(
         float(goal_bias),
         float(near_factor),
         bool(informed),
-        int(seed) % 2**32,
+        np.random.default_rng(seed),
     )
     return SearchTree(nodes, parent, costs, int(solved_at))
 
 
 @compiled
-def _grow(  # type: ignore[no-untyped-def]
+def _grow(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop, kept in sight
     constraint,
     cost,
     start,
@@ -101,9 +101,8 @@ def _grow(  # type: ignore[no-untyped-def]
     goal_bias,
     near_factor,
     informed,
-    seed,
+    rng,
 ):
-    np.random.seed(seed)
     nodes = np.empty((n_iterations + 2, 4))
     nodes[START], nodes[GOAL] = start, goal
     scale = math.sqrt(cost.rotation_weight_m2)
@@ -123,11 +122,11 @@ def _grow(  # type: ignore[no-untyped-def]
         costs[GOAL], solved_at = segment_cost(cost, start, goal), 0
         _attach(parent, links, GOAL, START)
     for iteration in range(n_iterations):
-        at_goal = np.random.random() < goal_bias and solved_at < 0
+        at_goal = rng.random() < goal_bias and solved_at < 0
         if at_goal:
             sample[:] = goal
         else:
-            _draw(cost, start, goal, lower, upper, costs[GOAL] if informed else np.inf, sample)
+            _draw(cost, start, goal, lower, upper, costs[GOAL] if informed else np.inf, rng, sample)
         _squared_distances(scaled, count, cost.rotation_weight_m2, sample, squared)
         nearest = np.argmin(squared[:count])
         distance = math.sqrt(squared[nearest])
@@ -185,15 +184,15 @@ def _grow(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _draw(cost, start, goal, lower, upper, best, sample):  # type: ignore[no-untyped-def]
+def _draw(cost, start, goal, lower, upper, best, rng, sample):  # type: ignore[no-untyped-def]
     """A uniform pose in bounds that could improve on ``best``: of the ellipsoid of the root cost, else by rejection."""
     scale = math.sqrt(cost.rotation_weight_m2)
     direct = pose_distance(cost.rotation_weight_m2, start, goal)
     ellipsoid = cost.kind == 0 and best < np.inf and direct > 0
     for _ in range(50):
         if ellipsoid:
-            ball = np.random.standard_normal(4)
-            ball *= np.random.random() ** 0.25 / math.sqrt((ball**2).sum())
+            ball = rng.standard_normal(4)
+            ball *= rng.random() ** 0.25 / math.sqrt((ball**2).sum())
             ball *= 0.5 * math.sqrt(max(best * best - direct * direct, 0.0))
             ball[0] *= best / math.sqrt(max(best * best - direct * direct, 1e-12))
             axis = (goal - start) / direct
@@ -209,12 +208,12 @@ def _draw(cost, start, goal, lower, upper, best, sample):  # type: ignore[no-unt
                 return
         else:
             for axis_index in range(4):
-                sample[axis_index] = np.random.uniform(lower[axis_index], upper[axis_index])
+                sample[axis_index] = rng.uniform(lower[axis_index], upper[axis_index])
             bound = least_cost(cost, lower[2], start, sample) + least_cost(cost, lower[2], sample, goal)
             if bound < best:
                 return
     for axis_index in range(4):
-        sample[axis_index] = np.random.uniform(lower[axis_index], upper[axis_index])
+        sample[axis_index] = rng.uniform(lower[axis_index], upper[axis_index])
 
 
 @compiled
@@ -233,7 +232,7 @@ def _near(squared, count, k, near, gap):  # type: ignore[no-untyped-def]
     """Fill ``near`` with the k nearest nodes, nearest first; returns how many there are."""
     found = 0
     for n in range(count):
-        if found == k and squared[n] >= gap[k - 1] or squared[n] == np.inf:
+        if squared[n] == np.inf or (found == k and squared[n] >= gap[k - 1]):
             continue
         place = found if found < k else k - 1
         while place > 0 and gap[place - 1] > squared[n]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+import itertools
 import math
 
 import numpy as np
@@ -13,7 +14,6 @@ from deltasafe.geometry import Pose, PosePath, wrap_to_pi
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.checks import (
     CheckSettings,
-    SegmentTest,
     body_clearance_m,
     is_segment_safe,
     segment_test,
@@ -203,7 +203,7 @@ def plan(
             *counts,
         )
     poses = refine_path(test, cost, poses, lower, upper, settings.n_refinements, seed)
-    safe = [is_segment_safe(verifier, a, b) for a, b in zip(poses[:-1], poses[1:], strict=True)]
+    safe = [is_segment_safe(verifier, a, b) for a, b in itertools.pairwise(poses)]
     clearance_m = float(body_clearance_m(verifier, _dense(poses, 0.001)).min())
     squared = line_cost("squared", settings.rotation_weight_m2)
     return PlanResult(
@@ -225,8 +225,16 @@ def _checks(settings: PlannerSettings) -> CheckSettings:
     return CheckSettings(**{f.name: getattr(settings, f.name) for f in dataclasses.fields(CheckSettings)})
 
 
-def _failure(status: PlanStatus, margin_m: float, clearance_m: float, message: str, *counts: int) -> PlanResult:
-    return PlanResult(status, None, margin_m, clearance_m, None, None, None, *(counts or (0, 0, -1)), message=message)
+def _failure(
+    status: PlanStatus,
+    margin_m: float,
+    clearance_m: float,
+    message: str,
+    n_iterations: int = 0,
+    n_nodes: int = 0,
+    solved_at: int = -1,
+) -> PlanResult:
+    return PlanResult(status, None, margin_m, clearance_m, None, None, None, n_iterations, n_nodes, solved_at, message)
 
 
 def _bounds(field: SafetyField, settings: PlannerSettings, start: Array, goal: Array) -> tuple[Array, Array]:
@@ -272,7 +280,7 @@ def _is_connected(
 def _dense(poses: Array, spacing_m: float) -> Array:
     """The polyline with poses at most ``spacing_m`` apart."""
     pieces = [poses[:1]]
-    for a, b in zip(poses[:-1], poses[1:], strict=True):
+    for a, b in itertools.pairwise(poses):
         count = max(1, math.ceil(float(np.linalg.norm((b - a)[:3]) + 0.03 * abs(b[3] - a[3])) / spacing_m))
         pieces.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
     return np.concatenate(pieces)

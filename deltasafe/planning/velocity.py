@@ -1,6 +1,7 @@
 """Safe velocity scheduling (section IV-C): as fast as clearance, tracking bound and accelerations allow."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -115,7 +116,7 @@ def schedule(
         rotation_weight_m2,
         settings.blend_reach_m,
         settings.spacing_m,
-        lambda arc: all(is_segment_safe(arc_test, a, b) for a, b in zip(arc[:-1], arc[1:], strict=True)),
+        lambda arc: all(is_segment_safe(arc_test, a, b) for a, b in itertools.pairwise(arc)),
         CHORD_TOLERANCE_M,
     )
     motion_m = _motion(curve.poses, body.rho_max_m)
@@ -189,7 +190,7 @@ def _standstill(
 def _verify(test: SegmentTest, poses: Array, margin_m: float) -> None:
     """Test the edges whole, as the planner did: a conservative test may refuse pieces of an edge it passes."""
     way_m = 0.0
-    for a, b in zip(poses[:-1], poses[1:], strict=True):
+    for a, b in itertools.pairwise(poses):
         leg_m = float(np.linalg.norm((b - a)[:3]))
         if not is_segment_safe(test, a, b):
             shares = np.linspace(0.0, 1.0, 2 + int(_motion(np.array([a, b]), 0.03)[0] / 0.0005))

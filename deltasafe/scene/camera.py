@@ -70,8 +70,8 @@ class Camera:
             found = sorted(value) if isinstance(value, Mapping) else type(value).__name__
             raise SettingsError(f"camera needs exactly the fields {fields}, got {found}")
         try:
-            numbers = {name: float(value[name]) for name in ("fx", "fy", "cx", "cy")}
-            arrays = {
+            numbers: dict[str, Any] = {name: float(value[name]) for name in ("fx", "fy", "cx", "cy")}
+            arrays: dict[str, Any] = {
                 name: np.asarray(value[name], dtype=np.float64) for name in ("position_m", "world_from_camera_rotation")
             }
         except (TypeError, ValueError) as error:

@@ -134,7 +134,8 @@ def _pose(path: pathlib.Path, record: Any, name: str) -> Pose:
     if not isinstance(position, list) or len(position) != 3:
         raise DataError(path, f"field {name}.position_m must hold x, y, z, got {position!r}")
     try:
-        return Pose(*(float(coordinate) for coordinate in position), _number(path, value, "yaw_rad"))
+        x_m, y_m, z_m = (float(coordinate) for coordinate in position)
+        return Pose(x_m, y_m, z_m, _number(path, value, "yaw_rad"))
     except (TypeError, ValueError) as error:
         raise DataError(path, f"field {name} is not a pose ({error})") from error
 

@@ -1,5 +1,6 @@
 """Random analytic scenes, and an audit that shares no code with the planner's tests."""
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -27,10 +28,10 @@ def random_grid(seed: int, count: int = 4, voxel_m: float = 0.005) -> OccupancyG
 def unsafe_share(
     grid: OccupancyGrid, delta: float, body: ToolBody, margin_m: float, poses: np.ndarray, spacing_m: float = 0.001
 ) -> float:
-    """Share of poses, ``spacing_m`` apart along a polyline, that have a point of the enlarged body in the unsafe set."""
+    """Share of poses, ``spacing_m`` apart, with a point of the enlarged body in the unsafe set."""
     points = body.samples(margin_m, 4400, seed=12345)
     bad = total = 0
-    for a, b in zip(poses[:-1], poses[1:], strict=True):
+    for a, b in itertools.pairwise(poses):
         motion = np.linalg.norm((b - a)[:3]) + body.rho_max_m * abs(b[3] - a[3])
         for t in np.linspace(0, 1, 1 + max(1, int(np.ceil(motion / spacing_m)))):
             x, y, z, yaw = a + t * (b - a)

@@ -65,7 +65,8 @@ def test_samples_are_uniform_on_the_true_enlargement(margin_m: float) -> None:
     samples = body.samples(margin_m, 40000, seed=3)
     assert body.distance_m(samples).max() <= margin_m
     axes = [np.arange(-40, 40) * 0.001, np.arange(-30, 30) * 0.001, np.arange(-30, 120) * 0.0005]
-    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3) + (0.0005, 0.0005, 0.00025)
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    lattice = lattice + np.array([0.0005, 0.0005, 0.00025])
     lattice = lattice[body.distance_m(lattice) <= margin_m]
     for axis, cut in ((0, 0.015), (1, -0.005), (2, 0.0), (2, 0.008), (2, 0.03)):
         expected = (lattice[:, axis] < cut).mean()

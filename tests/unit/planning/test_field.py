@@ -45,7 +45,7 @@ def test_clearance_is_a_tight_lower_bound_everywhere() -> None:
     p_occupied = np.where(rng.random((20, 16, 8)) < 0.01, rng.random((20, 16, 8)), 0).astype(np.float32)
     grid = OccupancyGrid(p_occupied, np.array([-0.05, 0.1, 0.2]), 0.005)
     field = SafetyField.build(grid, 0.05)
-    points = rng.uniform(grid.origin_m - 0.02, grid.upper_m + (0.02, 0.02, 0.12), (3000, 3))
+    points = rng.uniform(grid.origin_m - 0.02, grid.upper_m + np.array([0.02, 0.02, 0.12]), (3000, 3))
     expected = truth(grid, 0.05, points)
     clearance_m = field.clearance_m(points)
     assert (clearance_m <= expected + 1e-9).all()

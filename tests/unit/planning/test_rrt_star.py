@@ -1,3 +1,4 @@
+import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,7 +83,7 @@ def test_more_iterations_come_closer_to_the_known_optimum() -> None:
     tree = grown(seed=1)
     refined = refine_path(OVER, COSTS[0], tree.path(), LOWER, UPPER, 800, 0)
     assert path_cost(COSTS[0], refined) < 1.03 * best
-    assert all(_passes(OVER, a, b) for a, b in zip(refined[:-1], refined[1:], strict=True))
+    assert all(_passes(OVER, a, b) for a, b in itertools.pairwise(refined))
     assert (refined[0] == START).all()
     assert (refined[-1] == GOAL).all()
 

@@ -15,8 +15,8 @@ SETTINGS = PlannerSettings(n_iterations=800, n_refinements=200)
 LOWER, UPPER = (-0.2, -0.15, 0.0), (0.2, 0.15, 0.09)
 
 
-def wall(height_m: float) -> OccupancyGrid:
-    return grid_from_shapes([Cuboid((0, 0, height_m / 2), (0.02, 0.2, height_m / 2))], 0.0, LOWER, UPPER, 0.005)
+def wall(height_m: float, voxel_m: float = 0.005) -> OccupancyGrid:
+    return grid_from_shapes([Cuboid((0, 0, height_m / 2), (0.02, 0.2, height_m / 2))], 0.0, LOWER, UPPER, voxel_m)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -74,7 +74,7 @@ def test_an_unsafe_end_is_named_with_its_clearance(start: Pose, goal: Pose, stat
 
 def test_no_connection_is_told_from_a_spent_budget() -> None:
     low_ceiling = dataclasses.replace(SETTINGS, z_max_above_field_m=0.001)
-    field = SafetyField.build(wall(0.088), 0.05)
+    field = SafetyField.build(wall(0.088, 0.0025), 0.05)
     assert plan(START, GOAL, field, low_ceiling, 0).status is PlanStatus.NO_CONNECTION
     hurried = dataclasses.replace(SETTINGS, n_iterations=3)
     assert plan(START, GOAL, field, hurried, 0).status is PlanStatus.BUDGET_SPENT

@@ -67,7 +67,7 @@ def test_every_ray_carries_its_pixel_up_to_the_top(tilt: float) -> None:
     assert seen.sum() > 5000
     assert (p_occupied[seen] >= image[rows, columns]).all()
     assert (p_occupied[~seen] == 1).all()
-    assert (grid.at(points + [0, 0, 0.08]) == 0).all()
+    assert (grid.at(points + np.array([0, 0, 0.08])) == 0).all()
 
 
 def test_extrusion_follows_the_rays_and_does_not_swell_them() -> None:
