@@ -34,9 +34,7 @@ class Store:
 class Tracker(Protocol):
     """Experiment tracking: one parent run an ensemble, found by its identity; one child run a member."""
 
-    def member(
-        self, identity: str, name: str, parameters: Mapping[str, object], losses: Sequence[float]
-    ) -> None:
+    def member(self, identity: str, name: str, parameters: Mapping[str, object], losses: Sequence[float]) -> None:
         """Record a trained member."""
 
     def report(self, identity: str, figures: Mapping[str, float], folder: pathlib.Path) -> None:

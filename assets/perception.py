@@ -37,11 +37,12 @@ class AugmentedConfig(dg.Config):
 
 
 class MemberConfig(dg.Config):
-    """Member m is trained with the seed `first_seed` + m."""
+    """Member m is trained with the seed `first_seed` + m; `workers` = 0 is one process a core."""
 
     training: TrainingConfig = TrainingConfig()
     first_seed: int = 0
     device: str = "auto"
+    workers: int = 0
 
 
 class ReportConfig(dg.Config):
@@ -88,9 +89,7 @@ def augmented_hands(
     backgrounds, _ = store.dataset(config.backgrounds, "backgrounds")
     folder = store.folder("augmented_hands", context.run_id[:8])
     settings, progress = config.augmentation.settings(), progress_of(context)
-    made = write_augmented_set(
-        hands, backgrounds, settings, folder, workers=config.workers, progress=progress
-    )
+    made = write_augmented_set(hands, backgrounds, settings, folder, workers=config.workers, progress=progress)
     sheet = folder.with_name(f"{folder.name}-contact-sheet.png")
     contact_sheet(hands, made, sheet)
     metadata = {"images": made.n, "digest": made.digest, "contact sheet": inline_picture(sheet)}
@@ -115,14 +114,10 @@ def ensemble_member(
     """Networks trained independently: own random head, own shuffling. An interrupted training is resumed."""
     from assets.training import train_and_record
 
-    folders = {}
-    for name in sorted(context.partition_keys):
-        seed = config.first_seed + members.get_partition_keys().index(name)
-        settings = config.training.settings()
-        folders[name] = train_and_record(
-            context, name, augmented_hands, settings, seed, config.device, store, tracker
-        )
-    return folders
+    everyone = members.get_partition_keys()
+    seeds = {name: config.first_seed + everyone.index(name) for name in sorted(context.partition_keys)}
+    settings = config.training.settings()
+    return train_and_record(context, seeds, augmented_hands, settings, config.device, config.workers, store, tracker)
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"pytorch", "markdown"}, code_version="1")
@@ -135,7 +130,7 @@ def calibration_report(
     tracker: dg.ResourceParam[Tracker],
 ) -> dg.Output[pathlib.Path]:
     """May the mean of the members be called a probability? Judged on all pixels of the test images."""
-    from deltasafe.perception.evaluation import evaluate_members
+    from deltasafe.perception.ensemble_evaluation import evaluate_members
     from deltasafe.perception.hands import HandSet
     from deltasafe.perception.member import Member
 
@@ -166,7 +161,7 @@ def frozen_ensemble(
     tracker: dg.ResourceParam[Tracker],
 ) -> dg.Output[pathlib.Path]:
     """The ensemble as a folder named by its content, which other projects pull; registered with an alias."""
-    from deltasafe.perception.artifact import freeze_evaluated
+    from deltasafe.perception.ensemble_evaluation import freeze_evaluated
     from deltasafe.perception.hands import HandSet
     from deltasafe.perception.member import Member
 

@@ -1,6 +1,8 @@
-"""One member trained, seen in Dagster's log, and recorded with the tracker."""
+"""Members trained, seen in Dagster's log, and recorded with the tracker."""
 
+import dataclasses
 import pathlib
+from collections.abc import Mapping
 
 import dagster as dg
 
@@ -14,57 +16,49 @@ __all__ = ["train_and_record"]
 
 def train_and_record(
     context: dg.AssetExecutionContext,
-    name: str,
+    seeds: Mapping[str, int],
     augmented: pathlib.Path,
     settings: TrainingSettings,
-    seed: int,
     device: str,
+    workers: int,
     store: Store,
     tracker: Tracker,
-) -> pathlib.Path:
-    """Folder of the member; its name is the digest of what determines it, so a second run finds it finished."""
+) -> dict[str, pathlib.Path]:
+    """Folders of the members by name.
+
+    A folder's name is the digest of what determines the member, so a second run finds it finished.
+    """
     from deltasafe.figures.training import loss_curves
     from deltasafe.perception.augmented_set import AugmentedSet
-    from deltasafe.perception.training import StepReport, train_member, training_identity
+    from deltasafe.perception.ensemble_training import MemberJob, train_members
+    from deltasafe.perception.training import StepReport, training_identity
 
     data = AugmentedSet.load(augmented)
-    folder = store.folder("ensemble_member", training_identity(data, settings, seed)[:16])
-    progress = progress_of(context, every_s=15.0)
+    jobs = [
+        MemberJob(name, seed, store.folder("ensemble_member", training_identity(data, settings, seed)[:16]))
+        for name, seed in seeds.items()
+    ]
+    said = {name: progress_of(context, every_s=20.0) for name in seeds}
 
-    def on_step(step: StepReport) -> None:
-        left_s = (step.n_steps - step.step) * settings.batch_size / step.images_per_s
-        progress(
-            step.step,
-            step.n_steps,
-            f"{name}: epoch {step.epoch} of {settings.epochs}, loss {step.loss:.3f}, "
-            f"{step.images_per_s:.1f} images/s, {left_s / 60:.1f} min left",
-        )
+    def on_step(name: str, step: StepReport) -> None:
+        left_min = (step.n_steps - step.step) * settings.batch_size / step.images_per_s / 60
+        text = f"{name}: epoch {step.epoch} of {settings.epochs}, loss {step.loss:.3f}"
+        said[name](step.step, step.n_steps, f"{text}, {step.images_per_s:.1f} images/s, {left_min:.1f} min left")
 
-    member = train_member(data, settings, seed, folder, device, on_step)
-    losses = member.losses
-    loss_curves({name: losses}, member.record["steps_per_epoch"], folder / "loss.png")
-    tracker.member(member.ensemble_identity, name, {**settings_of(settings), "seed": seed}, losses)
-    final = sum(losses[-20:]) / len(losses[-20:])
-    context.add_asset_metadata(
-        {
-            "seed": seed,
-            "final loss": final,
-            "steps": len(losses),
-            "loss": inline_picture(folder / "loss.png"),
-        },
-        partition_key=name,
-    )
-    return folder
+    trained = train_members(jobs, augmented, settings, device=device, workers=workers, on_step=on_step)
+    for name, member in trained.items():
+        losses, curve = member.losses, member.folder / "loss.png"
+        loss_curves({name: losses}, member.record["steps_per_epoch"], curve)
+        tracker.member(member.ensemble_identity, name, {**_flat(settings), "seed": member.seed}, losses)
+        metadata = {"seed": member.seed, "final loss": sum(losses[-20:]) / len(losses[-20:]), "steps": len(losses)}
+        context.add_asset_metadata({**metadata, "loss": inline_picture(curve)}, partition_key=name)
+        context.log.info(f"{name}: finished after {len(losses)} steps, loss {metadata['final loss']:.3f}")
+    return {name: member.folder for name, member in trained.items()}
 
 
-def settings_of(settings: TrainingSettings) -> dict[str, object]:
-    """Flat parameters for the tracker, nested names joined by a dot."""
-    import dataclasses
-
+def _flat(settings: TrainingSettings) -> dict[str, object]:
+    """Parameters for the tracker, nested names joined by a dot."""
     flat: dict[str, object] = {}
     for key, value in dataclasses.asdict(settings).items():
-        if isinstance(value, dict):
-            flat |= {f"{key}.{inner}": item for inner, item in value.items()}
-        else:
-            flat[key] = value
+        flat |= {f"{key}.{k}": v for k, v in value.items()} if isinstance(value, dict) else {key: value}
     return flat

@@ -3,10 +3,12 @@
 import functools
 import hashlib
 import pathlib
+import pickle
 from collections.abc import Callable
 from typing import Any
 
 import numba
+from numba.core import caching
 
 __all__ = ["compiled"]
 
@@ -24,6 +26,19 @@ def _digest_of_sources() -> str:
     return digest.hexdigest()
 
 
+class _Index(caching.IndexDataCacheFile):
+    """A cache index that is empty, not fatal, if it names types that this process cannot import.
+
+    A constraint defined in somebody's script or test is such a type for everybody else.
+    """
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            return dict(super()._load_index())
+        except (ImportError, AttributeError, EOFError, pickle.UnpicklingError):
+            return {}
+
+
 def compiled(function: Callable[..., Any]) -> Any:
     """``numba.njit`` whose on-disk cache is valid for exactly this state of scene and planning.
 
@@ -31,5 +46,6 @@ def compiled(function: Callable[..., Any]) -> Any:
     another file it would go on running the old one. The stamp of the cache is therefore a digest of all sources.
     """
     dispatcher = numba.njit(cache=True)(function)
-    dispatcher._cache._cache_file._source_stamp = _digest_of_sources()
+    cache = dispatcher._cache
+    cache._cache_file = _Index(cache._cache_path, cache._impl.filename_base, _digest_of_sources())
     return dispatcher

@@ -4,10 +4,10 @@ import pathlib
 from collections.abc import Mapping
 from typing import Any
 
-import assets.checks
-import assets.motion
 import dagster as dg
 
+import assets.checks
+import assets.motion
 import assets.perception
 from pipelines import jobs
 from pipelines.console import progress_console
@@ -18,7 +18,7 @@ from pipelines.resources import StoreResource, TrackerResource
 __all__ = ["build_defs"]
 
 # heavy libraries are imported once, in the server that the steps are forked from
-_PRELOADED = ["dagster", "numpy", "torch", "assets.perception", "assets.motion"]
+_PRELOADED = ["pipelines.build", "torch"]
 
 
 def build_defs(

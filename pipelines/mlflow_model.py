@@ -12,8 +12,9 @@ class HandEnsemble(mlflow.pyfunc.PythonModel):
 
         self.ensemble = deltasafe.load_ensemble(context.artifacts["ensemble"])
 
-    def predict(self, context, model_input: np.ndarray, params=None) -> np.ndarray:  # type: ignore[no-untyped-def,type-arg]
-        return np.stack([self.ensemble.p_occupied(image) for image in np.asarray(model_input)])
+    def predict(self, context, model_input, params=None):  # type: ignore[no-untyped-def]
+        images = model_input["images"] if isinstance(model_input, dict) else model_input
+        return np.stack([self.ensemble.p_occupied(image) for image in np.asarray(images)])
 
 
 mlflow.models.set_model(HandEnsemble())

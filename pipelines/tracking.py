@@ -37,17 +37,13 @@ class MlflowTracker:
         self.home = home
         self.tags = dict(tags or {})
 
-    def member(
-        self, identity: str, name: str, parameters: Mapping[str, object], losses: Sequence[float]
-    ) -> None:
+    def member(self, identity: str, name: str, parameters: Mapping[str, object], losses: Sequence[float]) -> None:
         """Record a trained member as a child run of its ensemble, replacing an earlier record of it."""
         from mlflow.entities import Metric, Param
 
         with self._client() as client:
             parent = self._run(client, identity, {"mlflow.runName": f"ensemble {identity[:8]}"}, "")
-            child = self._run(
-                client, identity, {"mlflow.runName": name, "mlflow.parentRunId": parent}, member=name
-            )
+            child = self._run(client, identity, {"mlflow.runName": name, "mlflow.parentRunId": parent}, member=name)
             now_ms = int(time.time() * 1000)
             stride = max(1, len(losses) // 200)
             metrics = [Metric("loss", losses[k], now_ms, k) for k in range(0, len(losses), stride)]
@@ -84,6 +80,7 @@ class MlflowTracker:
                     python_model=str(_MODEL_CODE),
                     artifacts={"ensemble": str(folder)},
                     pip_requirements=["deltasafe[vision]"],
+                    signature=_signature(),
                     registered_model_name=MODEL_NAME,
                 )
             version = max(self._versions(client), key=lambda found: int(found.version))
@@ -102,9 +99,7 @@ class MlflowTracker:
 
             client = MlflowClient(tracking_uri(self.home))
             if client.get_experiment_by_name(EXPERIMENT) is None:
-                client.create_experiment(
-                    EXPERIMENT, artifact_location=(self.home / "mlflow" / "artifacts").as_uri()
-                )
+                client.create_experiment(EXPERIMENT, artifact_location=(self.home / "mlflow" / "artifacts").as_uri())
             yield client
 
     def _run(self, client: "MlflowClient", identity: str, tags: Mapping[str, str], member: str) -> str:
@@ -124,3 +119,13 @@ class MlflowTracker:
     @staticmethod
     def _versions(client: "MlflowClient") -> list[Any]:
         return list(client.search_model_versions(f"name='{MODEL_NAME}'"))
+
+
+def _signature() -> Any:
+    import numpy as np
+    from mlflow.models import ModelSignature
+    from mlflow.types import Schema, TensorSpec
+
+    images = TensorSpec(np.dtype(np.uint8), (-1, -1, -1, 3), "images")
+    p_occupied = TensorSpec(np.dtype(np.float32), (-1, -1, -1), "p_occupied")
+    return ModelSignature(inputs=Schema([images]), outputs=Schema([p_occupied]))

@@ -66,7 +66,9 @@ def execute_scenes(
         with pool:
             for done, outcome in enumerate(pool.map(_execute, jobs), start=1):
                 outcomes.append(outcome)
-                progress(done, len(jobs), f"executed {outcome.scene_id}" + (f": {outcome.reason}" if outcome.reason else ""))
+                progress(
+                    done, len(jobs), f"executed {outcome.scene_id}" + (f": {outcome.reason}" if outcome.reason else "")
+                )
         write_json(temporary / "outcomes.json", [dataclasses.asdict(outcome) for outcome in outcomes])
     return outcomes
 

@@ -6,9 +6,9 @@ import shutil
 from collections.abc import Sequence
 from typing import Any
 
-from deltasafe.execution.film import write_film
+from deltasafe.execution.film import save_film
 from deltasafe.execution.safety import SafetyVerdict, judge
-from deltasafe.figures.execution import execution_over_time
+from deltasafe.figures.execution import execution_figure
 from deltasafe.planning import PlannedMotion
 from deltasafe.progress import Progress, silent
 from deltasafe.scene import LoggedScene
@@ -112,7 +112,13 @@ def write_safety_report(
         filmed = _to_film(reports, n_films)
         for done, name in enumerate(filmed, start=1):
             scene = next(scene for scene in scenes if scene.id == name)
-            write_film(load_execution(executions, name), scene, temporary / f"{name}.gif")
+            save_film(
+                temporary / f"{name}.gif",
+                load_execution(executions, name),
+                scene.camera,
+                scene.true_mesh(),
+                table_z_m=scene.table_z_m,
+            )
             progress(done, len(filmed), f"filmed {name}")
         reports = [
             dataclasses.replace(report, film=f"{report.scene_id}.gif" if report.scene_id in filmed else "")
@@ -139,20 +145,20 @@ def _judge_scene(
 ) -> SafetyVerdict:
     execution = load_execution(executions, scene.id)
     grid = load_field(fields, scene.id)
-    execution_over_time(execution, motion.tracking, folder / f"{scene.id}-execution.png")
+    v_min_mps = motion.settings.v_min_mps
+    figure = execution_figure(execution, motion.tracking, min_speed_mps=v_min_mps, title=scene.id)
+    figure.savefig(folder / f"{scene.id}-execution.png", dpi=110)
     return judge(
         execution,
         grid,
         motion.body,
         motion.settings.delta,
         motion.tracking,
-        min_speed_mps=motion.settings.v_min_mps,
+        min_speed_mps=v_min_mps,
     )
 
 
-def _scene_report(
-    scene: LoggedScene, motion: PlannedMotion, verdict: SafetyVerdict | None, reason: str
-) -> SceneReport:
+def _scene_report(scene: LoggedScene, motion: PlannedMotion, verdict: SafetyVerdict | None, reason: str) -> SceneReport:
     path, result = motion.result.path, motion.result
     return SceneReport(
         scene.id,

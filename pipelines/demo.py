@@ -1,0 +1,120 @@
+"""`make demo`: the whole chain as one Dagster run, watched from the terminal; then where everything is."""
+
+import argparse
+import os
+import pathlib
+import subprocess
+import sys
+import time
+
+from deltasafe.presets import VARIABLE
+from deltasafe.storage import write_json
+from pipelines.home import PROJECT, prepare_home
+
+__all__ = ["main"]
+
+
+def everything():  # type: ignore[no-untyped-def]
+    """The job, found again by name in the processes of its steps."""
+    from pipelines.definitions import defs
+
+    return defs().resolve_job_def("everything")
+
+
+def main() -> int:
+    """Run the job; 0 if every step and every blocking check passed."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.demo", description=__doc__)
+    parser.add_argument("--record", type=pathlib.Path, help="also write the figures to this file (docs/results/...)")
+    options = parser.parse_args()
+    root = prepare_home()
+    preset = os.environ.get(VARIABLE) or "default"
+    print(f"Preset {preset!r}; everything that is made goes to {root}", flush=True)
+
+    import dagster as dg
+
+    began_s = time.monotonic()
+    with dg.DagsterInstance.get() as instance:
+        loggers = {"loggers": {"console": {"config": {}}}}
+        result = dg.execute_job(dg.reconstructable(everything), instance=instance, run_config=loggers)
+        run_id, success = result.run_id, result.success
+    minutes = (time.monotonic() - began_s) / 60
+    if not success:
+        print(f"\nThe run {run_id} failed after {minutes:.1f} minutes. `make demo` goes on with what is finished;")
+        print("`make ui` shows the run and the failed step.")
+        return 1
+    figures = _figures(root) | {"minutes_total": round(minutes, 1)}
+    command = "make demo" if preset == "default" else f"make demo PRESET={preset}"
+    record = {
+        "figures": figures,
+        "command": command,
+        "commit": _commit(),
+        "seeds": {"augmentation": 0, "members_from": 0, "planning_from": 0, "execution_from": 0},
+        "machine": _machine(),
+    }
+    write_json(root / "results.json", record)
+    if options.record:
+        write_json(options.record, record)
+    _print_summary(root, figures)
+    return 0
+
+
+def _figures(root: pathlib.Path) -> dict[str, float]:
+    from deltasafe.perception.calibration_report import CalibrationReport
+    from deltasafe.trials.safety_report import read_figures
+
+    perception = CalibrationReport.load(_folder(root, "calibration_report")).figures()
+    return {
+        name: round(value, 6) for name, value in {**perception, **read_figures(_folder(root, "safety_report"))}.items()
+    }
+
+
+def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
+    import dagster as dg
+
+    from pipelines.io import FolderPointers
+
+    return FolderPointers(home=str(root)).folder(dg.AssetKey(asset))
+
+
+def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:
+    safety = _folder(root, "safety_report")
+    films = sorted(safety.glob("*.gif"))
+    print(f"\nDone in {figures['minutes_total']:.1f} minutes.\n")
+    print(
+        f"  {int(figures['n_members'])} members: pixel accuracy {figures['pa']:.4f}, mIoU {figures['miou']:.4f}, "
+        f"NLL {figures['nll']:.4f}, Brier score {figures['bs']:.4f}"
+    )
+    print(
+        f"  {int(figures['scenes_executed'])} of {int(figures['scenes'])} scenes executed, "
+        f"{int(figures['scenes_safe'])} safe throughout, {int(figures['contacts'])} contacts with the true hand\n"
+    )
+    print(f"  calibration report  {_folder(root, 'calibration_report') / 'report.md'}")
+    print(f"  safety report       {safety / 'report.md'}")
+    print(f"  films               {', '.join(str(film) for film in films) or 'none'}")
+    print(f"  frozen ensemble     {_folder(root, 'frozen_ensemble')}")
+    print(f"  figures             {root / 'results.json'}")
+    print("  UI                  make ui, then http://127.0.0.1:3000")
+
+
+def _commit() -> str:
+    command = ["git", "-C", str(PROJECT), "describe", "--always", "--dirty", "--abbrev=12", "--exclude", "*"]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    return found.stdout.strip() or "not a git checkout"
+
+
+def _machine() -> str:
+    import platform
+
+    import torch
+
+    cpu = platform.processor() or platform.machine()
+    info = pathlib.Path("/proc/cpuinfo")
+    if info.is_file():
+        names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+        cpu = names[0] if names else cpu
+    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU"
+    return f"{os.cpu_count()} cores, {cpu}, {gpu}; Python {platform.python_version()}, torch {torch.__version__}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
