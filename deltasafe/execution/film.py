@@ -18,7 +18,7 @@ __all__ = ["FilmSettings", "film_frames", "save_film"]
 
 Array = NDArray[np.float64]
 
-_EYE_M, _TARGET_M = (0.50, -0.52, 0.42), (0.0, 0.08, 0.17)
+_EYE_M, _TARGET_M = (0.50, -0.52, 0.42), (0.0, 0.08, 0.20)
 _CUT_ABOVE_TABLE_M = 0.24
 _REFERENCE_RGB, _TRACE_RGB = (150, 150, 160), (20, 110, 220)
 _TEXT_RGB, _BAR_RGB = (235, 235, 235), (32, 34, 38)

@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 JOINTS = tuple(range(7))
 TOOL_LINK = 7
 FLANGE_IN_LINK_7_M = 0.045
+MARGIN_M = 1e-4
 TOOL_DENSITY_KGPM3 = 1200.0  # printed plastic
 SKIN_RGBA = (0.85, 0.62, 0.50, 1.0)
 TABLE_RGBA = (0.72, 0.70, 0.66, 1.0)
@@ -167,6 +168,8 @@ class World:
                 physicsClientId=client,
             )
             self.hand = p.createMultiBody(0, shape, visual, physicsClientId=client)
+            # PyBullet pads hand and tool by 1 mm each; only the tool's pad stays, so that a touch counts 1 mm early
+            p.changeDynamics(self.hand, -1, collisionMargin=MARGIN_M, physicsClientId=client)
 
     def _box(self, centre: tuple[float, ...], half: tuple[float, ...], rgba: tuple[float, ...]) -> int:
         p, client = self.bullet, self.client

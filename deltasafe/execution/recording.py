@@ -48,7 +48,7 @@ class Execution:
         joint_positions_rad, torques_nm: (N, n); torques as commanded after saturation.
         tool_to_hand_m, arm_to_hand_m: (N,) distance of the tool, and of the links above it (infinite beyond
             0.5 m), to the hand's surface; 0 where they touch.
-        contacts: (N,) int32, contact points counted by the physics since the sample before.
+        contacts: (N,) int32, contact points counted by the physics since the sample before; it feels them 1 mm early.
         body: the tool.
         seed: what drew the arm's imperfections.
         stop_reason: why the monitor stopped the arm, empty if it did not.
@@ -167,7 +167,7 @@ class Execution:
             raise DataError(folder / "execution.json", f"is not an execution of format {_FORMAT}")
         path = folder / "arrays.npz"
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in COLUMNS}
             execution = cls(
                 **arrays, body=ToolBody(**about["body"]), seed=about["seed"], stop_reason=about["stop_reason"]

@@ -36,6 +36,7 @@ def execution_figure(
     error.plot(time_s, execution.workspace_error_m * 1e3, color=_ERROR, label="executed")
     error.plot(time_s, allowed, color=_BOUND, linestyle="--", label=rf"bound $\gamma(\max(v, {min_speed_mps:g}))$")
     error.set_yscale("log")
+    error.set_ylim(bottom=1e-2)
     error.set_ylabel("workspace error [mm]")
     measured = np.gradient(execution.tool_positions_m, time_s, axis=0) if len(time_s) > 1 else np.zeros((1, 3))
     speed.plot(time_s, np.linalg.norm(measured, axis=1) * 1e3, color=_TOOL, label="executed")
@@ -50,10 +51,12 @@ def execution_figure(
         panel.axvspan(time_s[0], judged[0], color="black", alpha=0.06, linewidth=0)
         panel.axvspan(judged[-1], time_s[-1], color="black", alpha=0.06, linewidth=0)
         panel.grid(alpha=0.3)
-        panel.legend(loc="upper right", frameon=False, fontsize="small", ncols=3)
+        panel.legend(loc="lower right", bbox_to_anchor=(1, 0.98), frameon=False, fontsize="small", ncols=3)
         panel.margins(x=0)
     if execution.stop_reason:
-        distance.set_title(f"stopped by the monitor: {execution.stop_reason}", color=_BOUND, fontsize="small")
+        distance.set_title(
+            f"stopped by the monitor: {execution.stop_reason}", color=_BOUND, fontsize="small", loc="left"
+        )
     if title:
         figure.suptitle(title)
     return figure
