@@ -139,13 +139,14 @@ def _draw_profile(axes: list[Axes], motion: PlannedMotion, table_z_m: float) -> 
     speed.plot(way, 1000 * profile.limit_mps, color=LIMIT, lw=1.3, ls="--", label="limit $v^*$")
     speed.plot(way, 1000 * profile.speed_mps, color=SIGNAL, lw=1.8, label="scheduled speed")
     speed.axhline(1000 * settings.v_min_mps, color=INK, lw=0.8, ls=":", label=r"smallest speed of the plan")
-    speed.set(ylabel="speed [mm/s]", xlabel="way along the path [mm]", ylim=(0, 1120 * settings.v_max_mps))
+    speed.set(ylabel="speed [mm/s]", xlabel="way along the path [mm]", ylim=(0, 1080 * settings.v_max_mps))
     for ax in axes:
         ax.margins(x=0.01)
         ax.grid(color="#d8dbe0", lw=0.6)
         ax.set_axisbelow(True)
         ax.spines[["top", "right"]].set_visible(False)
-        ax.legend(fontsize=7.5, framealpha=0.85, loc="best", handlelength=1.6)
+        ax.set_ylim(top=1.3 * ax.get_ylim()[1])  # a strip for the legend, clear of the curves
+        ax.legend(fontsize=7.5, frameon=False, loc="upper center", ncols=3, handlelength=1.6, borderaxespad=0.2)
     for ax in axes[:2]:
         ax.tick_params(labelbottom=False)
     duration = motion.trajectory.duration_s if motion.trajectory is not None else 0.0

@@ -104,5 +104,15 @@ def test_the_compiled_cache_notices_a_change_of_any_source(monkeypatch: pytest.M
     assert before != after
 
 
+def test_a_cache_written_with_foreign_types_is_not_fatal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A constraint type of a script must not break the planner of everybody else."""
+
+    def fail(self: object) -> None:
+        raise ModuleNotFoundError("No module named 'somebodys_script'")
+
+    monkeypatch.setattr(compiling.caching.IndexDataCacheFile, "_load_index", fail)
+    assert compiling.compiled(_double)(2.5) == 5.0
+
+
 def _double(value):  # type: ignore[no-untyped-def]
     return 2 * value
