@@ -66,7 +66,7 @@ def test_the_triangle_between_its_corners_counts():
 def test_against_a_general_optimiser(seed):
     """One triangle against the disc, minimised over both by SLSQP: no shared code, no sampling."""
     rng = np.random.default_rng(seed)
-    corners = rng.uniform(-0.1, 0.1, (3, 3)) + [0.2, 0.0, -0.2]
+    corners = rng.uniform(-0.1, 0.1, (3, 3)) + np.array([0.2, 0.0, -0.2])
     distance = MeshDistance(corners, np.array([[0, 1, 2]])).to_tool(BODY, np.zeros(3), np.eye(3))
 
     def gap(u):
