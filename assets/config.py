@@ -43,7 +43,7 @@ def configurable(default: S) -> type[SettingsConfig[S]]:
             fields[field.name] = (nested, pydantic.Field(default_factory=nested))
         elif isinstance(value, tuple):
             item = typing.get_args(hints[field.name])[0]
-            fields[field.name] = (list[item], pydantic.Field(default_factory=lambda value=value: list(value)))  # type: ignore[valid-type]
+            fields[field.name] = (list[item], pydantic.Field(default_factory=lambda value=value: list(value)))
         else:
             fields[field.name] = (hints[field.name], value)
     name = settings_class.__name__.removesuffix("Settings") + "Config"

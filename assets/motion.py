@@ -7,7 +7,7 @@ import dagster as dg
 from assets.config import configurable
 from assets.interfaces import Store
 from assets.progress import progress_of
-from assets.reporting import inline_picture, inline_report
+from assets.reporting import Metadata, inline_picture, inline_report
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -101,7 +101,7 @@ def planned_motions(
     folder, progress = store.folder("planned_motions", context.run_id[:8]), progress_of(context, every_s=2.0)
     motions = plan_scenes(scenes, occupancy_fields, folder, settings, calibration, config.first_seed, progress)
     first = next((name for name, motion in motions.items() if motion.is_safe), scenes[0].id)
-    metadata = {
+    metadata: Metadata = {
         "scenes": len(scenes),
         "with a safe motion": sum(motion.is_safe for motion in motions.values()),
         "first motion": inline_picture(folder / first / "plan.png"),
@@ -159,5 +159,5 @@ def safety_report(
         n_films=config.n_films,
         progress=progress_of(context, every_s=2.0),
     )
-    metadata = {**report.figures(), "report": inline_report(folder / "report.md"), "folder": str(folder)}
+    metadata: Metadata = {**report.figures(), "report": inline_report(folder / "report.md"), "folder": str(folder)}
     return dg.Output(folder, metadata=metadata)

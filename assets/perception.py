@@ -7,7 +7,7 @@ import dagster as dg
 from assets.config import configurable
 from assets.interfaces import Store, Tracker
 from assets.progress import progress_of
-from assets.reporting import inline_picture, inline_report
+from assets.reporting import Metadata, inline_picture, inline_report
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -92,7 +92,7 @@ def augmented_hands(
     made = write_augmented_set(hands, backgrounds, settings, folder, workers=config.workers, progress=progress)
     sheet = folder.with_name(f"{folder.name}-contact-sheet.png")
     contact_sheet(hands, made, sheet)
-    metadata = {"images": made.n, "digest": made.digest, "contact sheet": inline_picture(sheet)}
+    metadata: Metadata = {"images": made.n, "digest": made.digest, "contact sheet": inline_picture(sheet)}
     return dg.Output(folder, metadata=metadata)
 
 
@@ -147,7 +147,7 @@ def calibration_report(
         progress=progress_of(context),
     )
     tracker.report(trained[0].ensemble_identity, report.figures(), folder)
-    metadata = {**report.figures(), "report": inline_report(folder / "report.md"), "folder": str(folder)}
+    metadata: Metadata = {**report.figures(), "report": inline_report(folder / "report.md"), "folder": str(folder)}
     return dg.Output(folder, metadata=metadata)
 
 
@@ -170,5 +170,5 @@ def frozen_ensemble(
     folder = freeze_evaluated(trained, calibration_report, golden_rgb, store.home / "frozen")
     uri = tracker.register(trained[0].ensemble_identity, folder, {"dagster_run_id": context.run_id})
     card = (folder / "model_card.md").read_text(encoding="utf-8")
-    metadata = {"folder": str(folder), "model": uri, "model card": dg.MetadataValue.md(card)}
+    metadata: Metadata = {"folder": str(folder), "model": uri, "model card": dg.MetadataValue.md(card)}
     return dg.Output(folder, metadata=metadata)

@@ -3,10 +3,13 @@
 import base64
 import io
 import pathlib
+from typing import Any, TypeAlias
 
 import dagster as dg
 
-__all__ = ["inline_picture", "inline_report"]
+__all__ = ["Metadata", "inline_picture", "inline_report"]
+
+Metadata: TypeAlias = dict[str, Any]
 
 _LIMIT_BYTES = 900_000
 
@@ -17,11 +20,11 @@ def inline_picture(path: pathlib.Path, width: int = 1000) -> dg.MarkdownMetadata
 
     data, kind = path.read_bytes(), path.suffix.lstrip(".").lower()
     if kind == "png" and len(data) > 200_000:
+        stream = io.BytesIO()
         with Image.open(path) as picture:
-            picture = picture.convert("RGB")
-            picture.thumbnail((width, 4 * width))
-            stream = io.BytesIO()
-            picture.save(stream, format="JPEG", quality=80)
+            reduced = picture.convert("RGB")
+        reduced.thumbnail((width, 4 * width))
+        reduced.save(stream, format="JPEG", quality=80)
         data, kind = stream.getvalue(), "jpeg"
     if len(data) > _LIMIT_BYTES:
         return dg.MetadataValue.md(f"[{path.name}]({path}) ({len(data) / 1e6:.1f} MB)")

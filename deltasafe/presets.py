@@ -27,12 +27,12 @@ class Preset:
     """
 
     n_members: int = 5
-    augmentation: AugmentationSettings = AugmentationSettings()
+    augmentation: AugmentationSettings = dataclasses.field(default_factory=AugmentationSettings)
     training: TrainingSettings = dataclasses.field(default_factory=TrainingSettings)
-    inference: InferenceSettings = InferenceSettings()
-    calibration: CalibrationSettings = CalibrationSettings()
-    gate: GateThresholds = GateThresholds()
-    field: FieldSettings = FieldSettings()
+    inference: InferenceSettings = dataclasses.field(default_factory=InferenceSettings)
+    calibration: CalibrationSettings = dataclasses.field(default_factory=CalibrationSettings)
+    gate: GateThresholds = dataclasses.field(default_factory=GateThresholds)
+    field: FieldSettings = dataclasses.field(default_factory=FieldSettings)
     # in the paper's experiment the area between path and table is penalised, so that the tool passes near the fingers
     motion: MotionSettings = dataclasses.field(default_factory=lambda: MotionSettings(cost="area"))
     execution: ExecutionSettings = dataclasses.field(default_factory=ExecutionSettings)

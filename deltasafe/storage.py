@@ -25,9 +25,7 @@ def atomic_file(destination: str | pathlib.Path) -> Iterator[pathlib.Path]:
     """
     destination = pathlib.Path(destination)
     destination.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(
-        prefix=f".{destination.stem}-", suffix=destination.suffix, dir=destination.parent
-    )
+    handle, name = tempfile.mkstemp(prefix=f".{destination.stem}-", suffix=destination.suffix, dir=destination.parent)
     os.close(handle)
     temporary = pathlib.Path(name)
     try:

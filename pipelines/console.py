@@ -36,8 +36,9 @@ class _Progress(logging.Handler):
         print(f"{at}  {step:<20} {text}", file=sys.stderr, flush=True)
 
 
-@dg.logger(description="One line for each thing that a person would want to know.")
+@dg.logger
 def progress_console(context: dg.InitLoggerContext) -> logging.Logger:
+    """One line for each thing that a person would want to know."""
     logger = logging.Logger("deltasafe", level=logging.INFO)
     handler = _Progress()
     handler.setFormatter(logging.Formatter())

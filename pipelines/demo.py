@@ -6,6 +6,7 @@ import pathlib
 import subprocess
 import sys
 import time
+from typing import Any
 
 from deltasafe.presets import VARIABLE
 from deltasafe.storage import write_json
@@ -34,7 +35,7 @@ def main() -> int:
 
     began_s = time.monotonic()
     with dg.DagsterInstance.get() as instance:
-        loggers = {"loggers": {"console": {"config": {}}}}
+        loggers: dict[str, Any] = {"loggers": {"console": {"config": {}}}}
         result = dg.execute_job(dg.reconstructable(everything), instance=instance, run_config=loggers)
         run_id, success = result.run_id, result.success
     minutes = (time.monotonic() - began_s) / 60

@@ -94,7 +94,7 @@ def save_film(
     Raises:
         SettingsError: the destination does not end in .gif.
     """
-    from PIL import Image
+    from PIL import GifImagePlugin, Image
 
     settings = settings or FilmSettings()
     destination = pathlib.Path(destination)
@@ -107,6 +107,7 @@ def save_film(
     with atomic_file(destination) as temporary:
         pictures[0].save(
             temporary,
+            format=GifImagePlugin.GifImageFile.format,
             save_all=True,
             append_images=pictures[1:],
             duration=round(1000 / settings.frames_per_second),

@@ -8,9 +8,7 @@ __all__ = ["occupancy_overlay"]
 _TINT = np.array([255.0, 120.0, 0.0])
 
 
-def occupancy_overlay(
-    rgb: NDArray[np.uint8], p_occupied: NDArray[np.float32], delta: float
-) -> NDArray[np.uint8]:
+def occupancy_overlay(rgb: NDArray[np.uint8], p_occupied: NDArray[np.float32], delta: float) -> NDArray[np.uint8]:
     """The image tinted by probability, with the border of {p_occupied > delta} drawn in white.
 
     Args:

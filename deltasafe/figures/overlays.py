@@ -82,9 +82,7 @@ def _draw_row(axes: Sequence[Axes], overlay: Overlay, delta: float) -> AxesImage
     axes[0].set_title(f"{overlay.image_id}:  mIoU {scores.miou:.3f}", fontsize=10, loc="left")
     picture = axes[1].imshow(p_occupied, vmin=0.0, vmax=1.0, cmap="magma")
     axes[2].imshow(_errors(overlay.image, occupied, p_occupied, delta))
-    missed = (
-        "no hand" if scores.missed_hand_rate is None else f"missed {scores.missed_hand_rate:.1%} of the hand"
-    )
+    missed = "no hand" if scores.missed_hand_rate is None else f"missed {scores.missed_hand_rate:.1%} of the hand"
     alarms = "" if scores.false_alarm_rate is None else f", false alarms {scores.false_alarm_rate:.1%}"
     axes[2].set_title(missed + alarms, fontsize=10, loc="left")
     for panel in axes:

@@ -37,9 +37,7 @@ def reliability_figure(report: CalibrationReport) -> Figure:
     _draw_counts(bottom_left, edges, report.reliability.count, "Confidence")
     _draw_safety(top_right, report)
     edges = np.array([_SMALLEST_P, *DELTA_GRID, 1.0])
-    _draw_counts(
-        bottom_right, edges, report.safety.count, "$p_\\mathrm{occupied}$  $(= 1 - p_\\mathrm{free})$"
-    )
+    _draw_counts(bottom_right, edges, report.safety.count, "$p_\\mathrm{occupied}$  $(= 1 - p_\\mathrm{free})$")
     for axes in (top_left, top_right):
         axes.tick_params(labelbottom=False)
     return figure
@@ -54,9 +52,7 @@ def ensemble_size_figure(report: CalibrationReport) -> Figure:
         axes = figure.add_subplot(1, 2, column + 1)
         values = [getattr(ensemble.scores, name) for ensemble in report.ensembles]
         members = [getattr(member.scores, name) for member in report.members]
-        axes.plot(
-            np.ones(len(members)), members, "o", color=_GREY, alpha=0.7, ms=5, label="each member alone"
-        )
+        axes.plot(np.ones(len(members)), members, "o", color=_GREY, alpha=0.7, ms=5, label="each member alone")
         axes.plot(sizes, values, "o-", color=_BLUE, label="mean of the first $M$ members")
         low, high = getattr(report.low, name), getattr(report.high, name)
         axes.plot([sizes[-1]] * 2, [low, high], "_-", color=_BLUE, alpha=0.6, ms=10, lw=1.2)
@@ -161,9 +157,7 @@ def _draw_safety(axes: Axes, report: CalibrationReport) -> None:
 
 def _draw_counts(axes: Axes, edges: np.ndarray, count: Sequence[int], label: str) -> None:
     share = np.array(count) / sum(count)
-    axes.bar(
-        edges[:-1], share, width=np.diff(edges), align="edge", color="#c9d6df", edgecolor="white", lw=0.6
-    )
+    axes.bar(edges[:-1], share, width=np.diff(edges), align="edge", color="#c9d6df", edgecolor="white", lw=0.6)
     positive = share[share > 0]
     axes.set(yscale="log", xlabel=label, ylabel="Pixels")
     axes.set_ylim(10.0 ** np.floor(np.log10(positive.min())) / 2, 2)

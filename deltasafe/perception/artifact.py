@@ -73,9 +73,7 @@ def freeze_ensemble(
         SettingsError: no members, or members of different networks, or a calibration of another M.
     """
     if not members or any(member.network_settings != members[0].network_settings for member in members):
-        raise SettingsError(
-            "an ensemble is frozen from at least one member, all of the same network settings"
-        )
+        raise SettingsError("an ensemble is frozen from at least one member, all of the same network settings")
     if calibration.n_members != len(members):
         raise SettingsError(
             f"the calibration is of {calibration.n_members} members, but {len(members)} are to be frozen"
@@ -105,9 +103,7 @@ def freeze_ensemble(
         }
         with atomic_file(temporary / "model_card.md") as file:
             file.write_text(model_card(manifest, calibration), encoding="utf-8")
-        manifest["files"] = {
-            path.name: sha256_of_file(path) for path in sorted(temporary.iterdir()) if path.is_file()
-        }
+        manifest["files"] = {path.name: sha256_of_file(path) for path in sorted(temporary.iterdir()) if path.is_file()}
         write_json(temporary / "manifest.json", manifest)
         destination = parent / f"ensemble-{sha256_of_file(temporary / 'manifest.json')[:16]}"
     if destination.exists():

@@ -179,9 +179,7 @@ class CalibrationReport:
         value = read_json(path)
         version = value.get("format_version") if isinstance(value, dict) else None
         if version != FORMAT_VERSION:
-            raise DataError(
-                path, f"has format version {version}, this release reads {FORMAT_VERSION}; calibrate again"
-            )
+            raise DataError(path, f"has format version {version}, this release reads {FORMAT_VERSION}; calibrate again")
         try:
             return typing.cast(CalibrationReport, _from_json(cls, value))
         except (KeyError, TypeError, ValueError) as error:
@@ -225,9 +223,7 @@ def gate(report: CalibrationReport, thresholds: GateThresholds) -> list[str]:
     if supported is None:
         failures.append(f"the images support no delta, planning needs {thresholds.planning_delta:g}")
     elif supported > thresholds.planning_delta:
-        failures.append(
-            f"the smallest supported delta is {supported:g}, planning needs {thresholds.planning_delta:g}"
-        )
+        failures.append(f"the smallest supported delta is {supported:g}, planning needs {thresholds.planning_delta:g}")
     failures += [
         f"{image.missed_hand_rate:.1%} of the hand in {image_id} is missed, "
         f"{thresholds.missed_hand_rate:.1%} is allowed"

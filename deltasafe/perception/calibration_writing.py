@@ -142,8 +142,7 @@ def _summary(report: CalibrationReport) -> str:
     worst = report.worst_first[0]
     supported = report.smallest_supported_delta
     verdict = (
-        f"**The smallest delta that these images support is {supported:g}**: "
-        "planning with a smaller one is refused."
+        f"**The smallest delta that these images support is {supported:g}**: planning with a smaller one is refused."
         if supported is not None
         else "**These images support no delta**: planning is refused."
     )
@@ -273,8 +272,7 @@ def _size_section(report: CalibrationReport) -> str:
         for m, e in enumerate(report.ensembles, 1)
     ]
     members = [
-        row(f"member {m}", e.scores, e.expected_calibration_error, None)[:-1]
-        for m, e in enumerate(report.members)
+        row(f"member {m}", e.scores, e.expected_calibration_error, None)[:-1] for m, e in enumerate(report.members)
     ]
     return f"""## What the members add
 

@@ -23,14 +23,12 @@ class Ensemble:
         device: ``auto``, ``cpu``, ``cuda``, ...
     """
 
-    def __init__(
-        self, members: list[SegmentationNetwork], settings: InferenceSettings, device: str = "cpu"
-    ) -> None:
+    def __init__(self, members: list[SegmentationNetwork], settings: InferenceSettings, device: str = "cpu") -> None:
         if not members:
             raise SettingsError("an ensemble needs at least one member")
         self.settings = settings
         self.device = torch.device(device)
-        self.members = nn.ModuleList(members).to(self.device, memory_format=torch.channels_last).eval()
+        self.members = nn.ModuleList(members).to(self.device).to(memory_format=torch.channels_last).eval()
 
     def __len__(self) -> int:
         return len(self.members)
@@ -63,9 +61,7 @@ class Ensemble:
         """(1, 3, h, w) uint8: the image at the resolution of the networks."""
         height, width = self.settings.network_size(*rgb.shape[:2])
         shrinks = height * width < rgb.shape[0] * rgb.shape[1]
-        scaled = cv2.resize(
-            rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        )
+        scaled = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
         return torch.from_numpy(np.ascontiguousarray(scaled)).permute(2, 0, 1)[None]
 
 

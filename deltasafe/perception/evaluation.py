@@ -183,9 +183,7 @@ def _support(counts: BinCounts, settings: CalibrationSettings) -> tuple[DeltaSup
     return delta_support(counts, n_bootstrap=settings.n_bootstrap, level=settings.level, seed=settings.seed)
 
 
-def _interval(
-    images: Sequence[ImageScores], weights: NDArray[np.int64], level: float
-) -> tuple[Scores, Scores]:
+def _interval(images: Sequence[ImageScores], weights: NDArray[np.int64], level: float) -> tuple[Scores, Scores]:
     drawn = np.array([dataclasses.astuple(pool_scores(images, row)) for row in weights.tolist()])
     low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2], axis=0)
     return Scores(*low.tolist()), Scores(*high.tolist())

@@ -33,9 +33,7 @@ class Member:
         from safetensors.torch import save_file
 
         with atomic_file(folder / "weights.safetensors") as temporary:
-            save_file(
-                {key: value.cpu().contiguous() for key, value in network.state_dict().items()}, temporary
-            )
+            save_file({key: value.cpu().contiguous() for key, value in network.state_dict().items()}, temporary)
         record = {**record, "weights_sha256": sha256_of_file(folder / "weights.safetensors")}
         write_json(folder / "member.json", record)
         return cls(folder, record)

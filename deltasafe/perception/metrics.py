@@ -102,9 +102,7 @@ def require_label(label: NDArray[np.generic]) -> NDArray[np.bool_]:
     return occupied
 
 
-def require_p_occupied(
-    p_occupied: NDArray[np.floating], shape: tuple[int, ...] | None = None
-) -> NDArray[np.float64]:
+def require_p_occupied(p_occupied: NDArray[np.floating], shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:
     """``p_occupied`` as float64.
 
     Raises:
@@ -114,9 +112,7 @@ def require_p_occupied(
         raise SettingsError(f"p_occupied must be floating point, got {np.asarray(p_occupied).dtype}")
     p = np.asarray(p_occupied, dtype=np.float64)
     if shape is not None and p.shape != shape:
-        raise SettingsError(
-            f"p_occupied has shape {p.shape}, its label {shape}: predict at the label's resolution"
-        )
+        raise SettingsError(f"p_occupied has shape {p.shape}, its label {shape}: predict at the label's resolution")
     if not (p.min() >= 0.0 and p.max() <= 1.0):
         raise SettingsError(
             f"p_occupied must lie in [0, 1], got [{p.min():g}, {p.max():g}]: pass probabilities, not logits"

@@ -53,6 +53,6 @@ ensemble = deltasafe.load_ensemble("FOLDER")      # verifies every file first
 p_occupied = ensemble.p_occupied(rgb)             # uint8 (H, W, 3) -> float32 (H, W)
 ```
 
-or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, {inference["height"]}, {inference["width"]}, 3); outputs
-`p_occupied` (B, h, w) and `member_p_occupied` (B, M, h, w).
+or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, {inference["height"]}, {inference["width"]}, 3);
+outputs `p_occupied` (B, h, w) and `member_p_occupied` (B, M, h, w).
 """

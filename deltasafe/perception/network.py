@@ -26,6 +26,8 @@ class SegmentationNetwork(nn.Module):
     def __init__(self, backbone: nn.Module, low_channels: int, high_channels: int, settings: NetworkSettings):
         super().__init__()
         self.backbone = backbone
+        self.mean: Tensor
+        self.sd: Tensor
         self.register_buffer("mean", 255 * torch.tensor(_IMAGENET_MEAN).view(1, 3, 1, 1), persistent=False)
         self.register_buffer("sd", 255 * torch.tensor(_IMAGENET_SD).view(1, 3, 1, 1), persistent=False)
         width = settings.pyramid_channels
@@ -35,9 +37,7 @@ class SegmentationNetwork(nn.Module):
         self.skip: nn.Module | None = None
         if settings.architecture == "deeplabv3plus":
             self.skip = _convolution(low_channels, 32, size=1)
-            self.decoder = nn.Sequential(
-                _convolution(width + 32, 96), _convolution(96, 96), nn.Conv2d(96, 1, 1)
-            )
+            self.decoder = nn.Sequential(_convolution(width + 32, 96), _convolution(96, 96), nn.Conv2d(96, 1, 1))
         else:
             self.decoder = nn.Sequential(_convolution(width, width), nn.Conv2d(width, 1, 1))
 

@@ -39,9 +39,7 @@ class MemberPredictions(Sequence[Array]):
             self.image_ids = tuple(str(name) for name in index["image_ids"])
             self.n_members = int(index["n_members"])
         except (KeyError, TypeError, ValueError):
-            raise DataError(
-                self.folder / "index.json", "needs image_ids and n_members; predict again"
-            ) from None
+            raise DataError(self.folder / "index.json", "needs image_ids and n_members; predict again") from None
 
     @classmethod
     def write(

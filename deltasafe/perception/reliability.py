@@ -162,9 +162,7 @@ def ratio(numerator: NDArray[np.generic], denominator: NDArray[np.generic]) -> N
     return np.divide(numerator, denominator, out=result, where=np.asarray(denominator) > 0)
 
 
-def _count(
-    bins: NDArray[np.intp], stated: NDArray[np.float64], event: NDArray[np.bool_], n_bins: int
-) -> BinCounts:
+def _count(bins: NDArray[np.intp], stated: NDArray[np.float64], event: NDArray[np.bool_], n_bins: int) -> BinCounts:
     bins = bins.ravel()
     return BinCounts(
         count=np.bincount(bins, minlength=n_bins)[None],

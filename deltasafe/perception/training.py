@@ -54,9 +54,7 @@ def learning_rate(settings: TrainingSettings, step: int, steps_per_epoch: int) -
     turn = max(1, round(0.25 * n_steps))
     if step < turn:
         return settings.peak_learning_rate * (0.04 + 0.96 * (1 - math.cos(math.pi * (step + 1) / turn)) / 2)
-    return (
-        settings.peak_learning_rate * (1 + math.cos(math.pi * (step + 1 - turn) / (n_steps - turn + 1))) / 2
-    )
+    return settings.peak_learning_rate * (1 + math.cos(math.pi * (step + 1 - turn) / (n_steps - turn + 1))) / 2
 
 
 def pick_device(name: str = "auto") -> torch.device:
@@ -96,7 +94,7 @@ def train_member(
         raise SettingsError(f"batch_size {settings.batch_size} exceeds the {n_images} images of the set")
 
     target = pick_device(device)
-    network = build_network(settings.network, seed).to(target, memory_format=torch.channels_last).train()
+    network = build_network(settings.network, seed).to(target).to(memory_format=torch.channels_last).train()
     optimiser = torch.optim.AdamW(
         network.parameters(), lr=settings.peak_learning_rate, weight_decay=settings.weight_decay, fused=True
     )
@@ -117,7 +115,7 @@ def train_member(
         with torch.autocast(target.type, torch.bfloat16, enabled=settings.precision == "bfloat16"):
             loss = functional.binary_cross_entropy_with_logits(network(images), masks)
         optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         optimiser.step()
         losses.append(loss.item())
         if not math.isfinite(losses[-1]):

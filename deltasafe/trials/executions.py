@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.execution.recording import Execution
-from deltasafe.execution.simulate import ExecutionSettings, execute
+from deltasafe.execution.simulate import ExecutionSettings, execute, iiwa_for
 from deltasafe.progress import Progress, silent
 from deltasafe.scene import LoggedScene
 from deltasafe.storage import atomic_folder, read_json, write_json
@@ -66,9 +66,8 @@ def execute_scenes(
         with pool:
             for done, outcome in enumerate(pool.map(_execute, jobs), start=1):
                 outcomes.append(outcome)
-                progress(
-                    done, len(jobs), f"executed {outcome.scene_id}" + (f": {outcome.reason}" if outcome.reason else "")
-                )
+                verb = "executed" if outcome.executed else "did not execute"
+                progress(done, len(jobs), f"{verb} {outcome.scene_id} {outcome.reason}".strip())
         write_json(temporary / "outcomes.json", [dataclasses.asdict(outcome) for outcome in outcomes])
     return outcomes
 
@@ -87,6 +86,7 @@ def _execute(job: _Job) -> Outcome:
             job.seed,
             bound=motion.tracking,
             unsafe_below_m=scene.table_z_m + scene.hand_height_m,
+            make_arm=iiwa_for(motion.body, scene.true_mesh(), scene.table_z_m),
         )
     except PlanningError as error:
         return Outcome(scene.id, False, str(error))

@@ -8,9 +8,7 @@ import sys
 import pytest
 
 ROOT = pathlib.Path(__file__).parents[2]
-MODULES = sorted(
-    path for package in ("deltasafe", "assets", "pipelines") for path in (ROOT / package).rglob("*.py")
-)
+MODULES = sorted(path for package in ("deltasafe", "assets", "pipelines") for path in (ROOT / package).rglob("*.py"))
 
 
 def test_import_contracts_hold():
@@ -41,9 +39,7 @@ def test_assets_are_thin_sentences(path):
 
 def imported_after(statement):
     program = f"import sys; {statement}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
-    run = subprocess.run(
-        [sys.executable, "-c", program], check=True, cwd=ROOT, capture_output=True, text=True
-    )
+    run = subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT, capture_output=True, text=True)
     return set(run.stdout.split())
 
 

@@ -83,6 +83,4 @@ def test_digest_sees_dataclasses_arrays_and_paths_by_value():
 
 def test_sha256_agrees_with_the_published_vector(tmp_path):
     (tmp_path / "abc").write_bytes(b"abc")
-    assert sha256_of_file(tmp_path / "abc") == (
-        "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
-    )
+    assert sha256_of_file(tmp_path / "abc") == ("ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad")

@@ -29,9 +29,7 @@ def test_the_reliability_diagram_shows_members_ensembles_and_the_diagonal():
     confidence = next(axes for axes in figure.axes if axes.get_ylabel() == "Accuracy")
     drawn = lines(confidence)
     assert {"Ideal", "Members", "$M = 2$", "$M = 5$"} <= set(drawn)
-    np.testing.assert_allclose(
-        drawn["$M = 5$"], np.transpose([result.reliability.stated, result.reliability.observed])
-    )
+    np.testing.assert_allclose(drawn["$M = 5$"], np.transpose([result.reliability.stated, result.reliability.observed]))
     assert len(confidence.get_lines()) == 1 + 5 + 2
 
 

@@ -1,5 +1,5 @@
 import json
-import os
+import pathlib
 import shutil
 import subprocess
 import sys
@@ -41,9 +41,7 @@ def members(tmp_path_factory):
 
     record = {"settings": {"network": dataclasses.asdict(NETWORK)}, "data_digest": "d" * 64}
     return [
-        Member.write(
-            tmp_path_factory.mktemp("member"), build_network(NETWORK, seed), {**record, "seed": seed}
-        )
+        Member.write(tmp_path_factory.mktemp("member"), build_network(NETWORK, seed), {**record, "seed": seed})
         for seed in range(2)
     ]
 
@@ -109,9 +107,7 @@ def test_loaded_and_trained_give_the_same_bits(members, frozen):
 def test_another_calibration_is_another_artifact(members, frozen, tmp_path):
     import dataclasses
 
-    other = freeze_ensemble(
-        members, INFERENCE, dataclasses.replace(CALIBRATION, temperature=1.5), image(), tmp_path
-    )
+    other = freeze_ensemble(members, INFERENCE, dataclasses.replace(CALIBRATION, temperature=1.5), image(), tmp_path)
     assert other.name != frozen.name
     with pytest.raises(SettingsError, match="of 2 members"):
         freeze_ensemble(members[:1], INFERENCE, CALIBRATION, image(), tmp_path)
@@ -189,7 +185,7 @@ def test_the_exported_program_agrees_with_torch_for_any_batch(frozen):
 def test_nothing_in_the_artifact_names_this_machine(frozen):
     for file in frozen.iterdir():
         data = file.read_bytes()
-        assert os.getcwd().encode() not in data, file.name
+        assert str(pathlib.Path.cwd()).encode() not in data, file.name
         assert b"site-packages" not in data, file.name
 
 

@@ -88,8 +88,7 @@ def test_the_bound_covers_the_truth_in_most_repetitions():
     rng = np.random.default_rng(7)
     true_rate = 0.15 * 60 / (0.8 * SIDE * SIDE + 0.15 * 60)  # 15 % of images lose 60 hand pixels
     covered = [
-        delta_support(images_with_misses(60 * (rng.random(40) < 0.15)), n_bootstrap=300)[0].upper_bound
-        >= true_rate
+        delta_support(images_with_misses(60 * (rng.random(40) < 0.15)), n_bootstrap=300)[0].upper_bound >= true_rate
         for _ in range(60)
     ]
     assert np.mean(covered) >= 0.9
@@ -145,9 +144,7 @@ def test_a_delta_below_an_unsupported_one_is_not_supported_either():
     label = np.zeros((SIDE, SIDE), bool)
     label[: SIDE // 5] = True
     p_occupied = np.where(label, 0.999, 1e-5)
-    p_occupied[: SIDE // 10] = (
-        0.04  # half of the hand counts as free from 0.05 on: a ninth of the free pixels
-    )
+    p_occupied[: SIDE // 10] = 0.04  # half of the hand counts as free from 0.05 on: a ninth of the free pixels
     rows = delta_support(stack_counts([safety_counts(p_occupied, label)] * 50))
     holds = {row.delta: row.upper_bound <= row.delta for row in rows}
     assert [holds[delta] for delta in (0.02, 0.05, 0.15)] == [True, False, True]

@@ -115,9 +115,7 @@ def test_sd_is_that_of_a_sample_and_undefined_for_one_member():
     result = mean_and_sd(members)
     assert result.n == 2
     assert as_list(result.mean) == pytest.approx([0.8, 0.8, 0.15, 0.2])
-    assert as_list(result.sd) == pytest.approx(
-        [0.1 * math.sqrt(2), 0, 0.05 * math.sqrt(2), 0.1 * math.sqrt(2)]
-    )
+    assert as_list(result.sd) == pytest.approx([0.1 * math.sqrt(2), 0, 0.05 * math.sqrt(2), 0.1 * math.sqrt(2)])
     assert mean_and_sd(members[:1]).sd is None
 
 

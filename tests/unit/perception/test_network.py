@@ -65,9 +65,7 @@ def test_pretrained_features_agree_with_an_independent_forward_pass():
         assert torch.allclose(body.bn1(body.conv_stem(image)), expected, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"architecture": "unet"}, {"backbone": "vgg"}, {"pyramid_channels": 0}], ids=str
-)
+@pytest.mark.parametrize("wrong", [{"architecture": "unet"}, {"backbone": "vgg"}, {"pyramid_channels": 0}], ids=str)
 def test_unknown_networks_are_refused_by_name(wrong):
     (name,) = wrong
     with pytest.raises(SettingsError, match=name):

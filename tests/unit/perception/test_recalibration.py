@@ -50,10 +50,7 @@ def test_recalibration_lowers_the_nll_of_unseen_images_of_an_overconfident_netwo
     temperatures = cross_fitted_temperatures(counts_of(predictions))
     before = np.mean([score_image(p, y).nll for p, y in predictions])
     after = np.mean(
-        [
-            score_image(apply_temperature(p, t), y).nll
-            for (p, y), t in zip(predictions, temperatures, strict=True)
-        ]
+        [score_image(apply_temperature(p, t), y).nll for (p, y), t in zip(predictions, temperatures, strict=True)]
     )
     assert after < 0.8 * before
 

@@ -80,8 +80,7 @@ def test_a_calibrated_predictor_lies_on_the_diagonal_within_binomial_error(count
     for count, stated, observed in zip(result.count, result.stated, result.observed, strict=True):
         if count:
             assert (
-                abs(observed - stated)
-                <= 4.5 * np.sqrt(stated * (1 - stated) / count) + 1e-3 / count**0.5 + 8 / count
+                abs(observed - stated) <= 4.5 * np.sqrt(stated * (1 - stated) / count) + 1e-3 / count**0.5 + 8 / count
             )
 
 

@@ -92,9 +92,7 @@ def test_a_checkpoint_of_other_settings_is_not_continued(data, tmp_path):
     with pytest.raises(Stopped):
         train_member(data, SMALL, 7, tmp_path, "cpu", stop)
     steps = []
-    train_member(
-        data, dataclasses.replace(SMALL, epochs=1), 7, tmp_path, "cpu", lambda r: steps.append(r.step)
-    )
+    train_member(data, dataclasses.replace(SMALL, epochs=1), 7, tmp_path, "cpu", lambda r: steps.append(r.step))
     assert steps[0] == 1
 
 
