@@ -7,7 +7,7 @@ import dagster as dg
 from assets.config import configurable
 from assets.interfaces import Store
 from assets.progress import progress_of
-from assets.reporting import Metadata, inline_picture, inline_report
+from assets.reporting import Metadata, inline_picture
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -159,5 +159,12 @@ def safety_report(
         n_films=config.n_films,
         progress=progress_of(context, every_s=2.0),
     )
-    metadata: Metadata = {**report.figures(), "report": inline_report(folder / "report.md"), "folder": str(folder)}
+    film = next((inline_picture(folder / scene.film) for scene in report.scenes if scene.film), None)
+    metadata: Metadata = {
+        **report.figures(),
+        "report": dg.MetadataValue.md((folder / "summary.md").read_text(encoding="utf-8")),
+        "plans": inline_picture(folder / "plans.jpg"),
+        "folder": str(folder),
+        **({} if film is None else {"film": film}),
+    }
     return dg.Output(folder, metadata=metadata)

@@ -11,15 +11,15 @@ __all__ = ["Metadata", "inline_picture", "inline_report"]
 
 Metadata: TypeAlias = dict[str, Any]
 
-_LIMIT_BYTES = 900_000
+_LIMIT_BYTES = 1_500_000
 
 
 def inline_picture(path: pathlib.Path, width: int = 1000) -> dg.MarkdownMetadataValue:
-    """A picture as Markdown; PNGs that are wider than ``width`` or heavy are shown as JPEG of that width."""
+    """A picture as Markdown; heavy ones are shown as JPEG of at most that ``width``."""
     from PIL import Image
 
     data, kind = path.read_bytes(), path.suffix.lstrip(".").lower()
-    if kind == "png" and len(data) > 200_000:
+    if kind in ("png", "jpg") and len(data) > 200_000:
         stream = io.BytesIO()
         with Image.open(path) as picture:
             reduced = picture.convert("RGB")

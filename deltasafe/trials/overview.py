@@ -12,7 +12,7 @@ from deltasafe.scene import LoggedScene
 from deltasafe.storage import atomic_file
 from deltasafe.trials.fields import load_p_occupied
 
-__all__ = ["overview"]
+__all__ = ["overview", "tile_pictures"]
 
 
 def overview(
@@ -40,3 +40,20 @@ def overview(
     with atomic_file(destination) as temporary:
         temporary.write_bytes(cv2.imencode(".jpg", sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
     return destination
+
+
+def tile_pictures(pictures: Sequence[pathlib.Path], destination: pathlib.Path, columns: int = 3) -> None:
+    """Pictures of one size on one sheet, each 640 pixels wide; a JPEG."""
+    tiles = []
+    for path in pictures:
+        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR_RGB)
+        height = round(640 * picture.shape[0] / picture.shape[1])
+        tiles.append(cv2.resize(picture, (640, height), interpolation=cv2.INTER_AREA))
+    height = max(len(tile) for tile in tiles)
+    columns = min(columns, len(tiles))
+    sheet = np.full((-(-len(tiles) // columns) * height, columns * 640, 3), 255, np.uint8)
+    for index, tile in enumerate(tiles):
+        row, column = divmod(index, columns)
+        sheet[row * height :][: len(tile), column * 640 :][:, :640] = tile
+    with atomic_file(destination) as temporary:
+        temporary.write_bytes(cv2.imencode(".jpg", sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes())

@@ -5,13 +5,18 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deltasafe.trials.safety_report import SafetyReport, SceneReport
 
-__all__ = ["safety_markdown"]
+__all__ = ["safety_markdown", "safety_summary"]
 
 
 def safety_markdown(report: "SafetyReport") -> str:
     """Summary, a table of all scenes, and the pictures that lie beside the report."""
-    parts = [_summary(report), _table(report), _films(report), _pictures(report), _meaning(report)]
+    parts = [_summary(report), _table(report), _meaning(report), _films(report), _pictures(report)]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def safety_summary(report: "SafetyReport") -> str:
+    """The same without pictures."""
+    return "\n\n".join([_summary(report), _table(report), _meaning(report)]) + "\n"
 
 
 def _summary(report: "SafetyReport") -> str:

@@ -12,11 +12,12 @@ from deltasafe.figures.execution import execution_figure
 from deltasafe.planning import PlannedMotion
 from deltasafe.progress import Progress, silent
 from deltasafe.scene import LoggedScene
-from deltasafe.storage import atomic_file, atomic_folder, read_json, write_json
+from deltasafe.storage import atomic_folder, read_json, write_json
 from deltasafe.trials.executions import load_execution, load_outcomes
 from deltasafe.trials.fields import load_field
 from deltasafe.trials.motions import load_motion
-from deltasafe.trials.safety_markdown import safety_markdown
+from deltasafe.trials.overview import tile_pictures
+from deltasafe.trials.safety_markdown import safety_markdown, safety_summary
 
 __all__ = ["SafetyReport", "SceneReport", "write_safety_report"]
 
@@ -91,7 +92,7 @@ def write_safety_report(
     n_films: int = 3,
     progress: Progress = silent,
 ) -> SafetyReport:
-    """Judge all executions and write `report.json`, `report.md`, pictures and films; whole or not at all.
+    """Judge all executions and write reports (JSON, Markdown), pictures and films; whole or not at all.
 
     Args:
         fields, motions, executions: folders of `write_fields`, `plan_scenes` and `execute_scenes`.
@@ -126,8 +127,9 @@ def write_safety_report(
         ]
         report = SafetyReport(delta, tuple(reports))
         write_json(temporary / "report.json", {"figures": report.figures(), **_plain(report)})
-        with atomic_file(temporary / "report.md") as file:
-            file.write_text(safety_markdown(report), encoding="utf-8")
+        (temporary / "report.md").write_text(safety_markdown(report), encoding="utf-8")
+        (temporary / "summary.md").write_text(safety_summary(report), encoding="utf-8")
+        tile_pictures([temporary / f"{scene.id}-plan.png" for scene in scenes], temporary / "plans.jpg")
     return report
 
 
