@@ -1,0 +1,55 @@
+"""Settings of the library as Dagster config."""
+
+import dataclasses
+
+import dagster as dg
+import pydantic
+import pytest
+
+from assets.config import configurable
+from deltasafe.errors import SettingsError
+from deltasafe.perception.augmentation.settings import AugmentationSettings
+from deltasafe.perception.settings import NetworkSettings, TrainingSettings
+from deltasafe.presets import PRESETS
+
+
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+def test_every_setting_of_every_preset_survives_the_way_through_dagster(preset):
+    for field in dataclasses.fields(preset):
+        settings = getattr(preset, field.name)
+        if dataclasses.is_dataclass(settings):
+            assert configurable(settings)().settings() == settings
+
+
+def test_nested_values_can_be_set_and_the_rest_keeps_its_default():
+    config = configurable(TrainingSettings(epochs=7))
+    made = config(network={"backbone": "resnet50"}, batch_size=2).settings()
+    assert made == TrainingSettings(NetworkSettings(backbone="resnet50"), epochs=7, batch_size=2)
+
+
+def test_tuples_are_lists_in_the_form():
+    config = configurable(AugmentationSettings())
+    assert config(left_out=["noise"]).settings().left_out == ("noise",)
+
+
+def test_an_unknown_key_is_refused():
+    with pytest.raises(pydantic.ValidationError, match="epoch_count"):
+        configurable(TrainingSettings())(epoch_count=3)
+
+
+def test_a_value_outside_its_domain_is_refused_by_the_rules_of_the_library():
+    with pytest.raises(SettingsError, match="epochs must be at least 1"):
+        configurable(TrainingSettings())(epochs=0).settings()
+
+
+def test_a_run_sees_what_the_launchpad_was_given():
+    seen = []
+    config_class = configurable(TrainingSettings())
+
+    @dg.asset
+    def reader(config: config_class):
+        seen.append(config.settings())
+
+    run_config = {"ops": {"reader": {"config": {"epochs": 9, "network": {"architecture": "deeplabv3"}}}}}
+    assert dg.materialize([reader], run_config=run_config).success
+    assert seen == [TrainingSettings(NetworkSettings(architecture="deeplabv3"), epochs=9)]

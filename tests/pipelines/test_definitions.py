@@ -1,0 +1,141 @@
+"""The definitions as the UI sees them."""
+
+import datetime
+import itertools
+
+import dagster as dg
+import pytest
+
+from deltasafe.errors import SettingsError
+from deltasafe.presets import PRESETS, VARIABLE, active
+from pipelines.build import build_defs
+from pipelines.jobs import retraining
+
+CHAIN = [
+    "raw_hands",
+    "augmented_hands",
+    "ensemble_member",
+    "calibration_report",
+    "frozen_ensemble",
+    "occupancy_fields",
+    "planned_motions",
+    "executed_motions",
+    "safety_report",
+]
+
+
+@pytest.fixture(scope="module")
+def defs(tmp_path_factory):
+    return build_defs(tmp_path_factory.mktemp("home"))
+
+
+def specs(defs):
+    return {spec.key.to_user_string(): spec for spec in defs.resolve_all_asset_specs()}
+
+
+def test_data_flows_one_way_through_the_chain(defs):
+    found = specs(defs)
+    assert set(found) == {*CHAIN, "test_hands", "logged_scenes"}
+    for before, after in itertools.pairwise(CHAIN):
+        upstream = {dep.asset_key.to_user_string() for dep in found[after].deps}
+        assert before in upstream, f"{after} does not follow {before}"
+    assert not found["raw_hands"].deps
+
+
+def test_test_images_enter_at_the_calibration_report_and_nowhere_before(defs):
+    readers = {
+        name
+        for name, spec in specs(defs).items()
+        if "test_hands" in {dep.asset_key.to_user_string() for dep in spec.deps}
+    }
+    assert readers == {"calibration_report"}
+
+
+def test_everything_is_described_owned_and_versioned(defs):
+    for name, spec in specs(defs).items():
+        assert spec.description, name
+        assert spec.owners, name
+        assert spec.kinds, name
+        assert spec.code_version, name
+        assert spec.group_name in ("perception", "motion"), name
+
+
+def test_checks_before_the_freeze_block_it(defs):
+    checks = {spec.name: spec for check in defs.asset_checks for spec in check.check_specs}
+    blocking = {name for name, spec in checks.items() if spec.blocking}
+    assert blocking >= {"no_image_in_both_sets", "images_match_their_recipes", "every_member_learned", "may_be_frozen"}
+    assert all(spec.description for spec in checks.values())
+
+
+def test_a_failed_gate_keeps_the_ensemble_from_being_frozen(tmp_path):
+    """The real gate on a real report of a hopeless ensemble; what comes after it must not run."""
+    frozen = []
+
+    @dg.asset
+    def calibration_report():
+        return 1
+
+    @dg.asset(deps=[calibration_report])
+    def frozen_ensemble():
+        frozen.append(True)
+
+    import numpy as np
+
+    from assets.checks import may_be_frozen
+    from deltasafe.perception.calibration_writing import write_calibration_report
+    from deltasafe.perception.evaluation import calibrate
+
+    masks = [np.eye(16, dtype=bool), ~np.eye(16, dtype=bool)]
+    wrong = [np.where(mask, 0.01, 0.99)[None].astype(np.float32) for mask in masks]
+    report = calibrate(["a", "b"], masks, wrong)
+    write_calibration_report(tmp_path / "report", report, labels=masks, predictions=wrong)
+
+    class Returns(dg.ConfigurableIOManager):
+        def handle_output(self, context, obj):
+            pass
+
+        def load_input(self, context):
+            return tmp_path / "report"
+
+    result = dg.materialize(
+        [calibration_report, frozen_ensemble, may_be_frozen], resources={"io_manager": Returns()}, raise_on_error=False
+    )
+    (evaluation,) = result.get_asset_check_evaluations()
+    assert not evaluation.passed
+    assert "support no delta" in evaluation.description
+    assert frozen == []
+
+
+def test_the_schedule_is_off_and_retrains_every_member(defs):
+    assert retraining.default_status == dg.DefaultScheduleStatus.STOPPED
+    context = dg.build_schedule_context(scheduled_execution_time=datetime.datetime(2030, 1, 6, 3, tzinfo=datetime.UTC))
+    request = retraining(context)
+    job = defs.resolve_job_def("perception")
+    keys = [f"member_{m:02d}" for m in range(PRESETS["smoke"].n_members)]
+    assert request.tags["dagster/asset_partition_range_start"] == keys[0]
+    assert request.tags["dagster/asset_partition_range_end"] == keys[-1]
+    assert {key.to_user_string() for key in job.asset_layer.selected_asset_keys} >= {
+        "ensemble_member",
+        "frozen_ensemble",
+    }
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_is_chosen_by_the_environment(monkeypatch, name):
+    monkeypatch.setenv(VARIABLE, name)
+    assert active() is PRESETS[name]
+
+
+def test_an_unknown_preset_is_refused_with_the_known_ones(monkeypatch):
+    monkeypatch.setenv(VARIABLE, "papre")
+    with pytest.raises(SettingsError, match="smoke, default, paper"):
+        active()
+
+
+def test_the_paper_preset_is_the_papers():
+    paper = PRESETS["paper"]
+    assert paper.n_members == 10
+    assert (paper.training.network.architecture, paper.training.network.backbone) == ("deeplabv3", "resnet50")
+    assert (paper.augmentation.width, paper.augmentation.height) == (384, 288)
+    assert (paper.motion.n_iterations, paper.motion.n_samples, paper.motion.delta) == (2000, 100, 0.05)
+    assert (paper.motion.v_min_mps, paper.motion.v_max_mps) == (0.01, 0.2)

@@ -1,0 +1,78 @@
+"""Pointers to folders: the old version or the new one, never half of one."""
+
+import dagster as dg
+import pytest
+
+from deltasafe.errors import DataError
+from pipelines.io import FolderPointers
+
+PARTS = dg.StaticPartitionsDefinition(["a", "b"])
+
+
+@pytest.fixture
+def home(tmp_path):
+    return tmp_path / "home"
+
+
+def materialise(home, assets, **options):
+    return dg.materialize(assets, resources={"io_manager": FolderPointers(home=str(home))}, **options)
+
+
+def maker(home, version):
+    @dg.asset
+    def made():
+        folder = home / "store" / version
+        folder.mkdir(parents=True)
+        return folder
+
+    return made
+
+
+def test_a_consumer_reads_the_folder_that_was_last_made(home):
+    read = []
+
+    @dg.asset
+    def used(made):
+        read.append(made)
+
+    materialise(home, [maker(home, "one"), used])
+    materialise(home, [maker(home, "two")])
+    materialise(home, [maker(home, "three").to_source_assets()[0], used])
+    assert [path.name for path in read] == ["one", "two"]
+
+
+def test_a_home_can_be_moved(home, tmp_path):
+    materialise(home, [maker(home, "one")])
+    moved = home.rename(tmp_path / "elsewhere")
+    assert FolderPointers(home=str(moved)).folder(dg.AssetKey("made")) == moved / "store" / "one"
+
+
+def test_partitions_are_read_as_a_dictionary_however_they_were_made(home):
+    @dg.asset(partitions_def=PARTS, backfill_policy=dg.BackfillPolicy.single_run())
+    def parts(context: dg.AssetExecutionContext):
+        folders = {key: home / "store" / key for key in context.partition_keys}
+        for folder in folders.values():
+            folder.mkdir(parents=True, exist_ok=True)
+        return folders
+
+    read = []
+
+    @dg.asset
+    def used(parts):
+        read.append({key: path.name for key, path in parts.items()})
+
+    whole = {"dagster/asset_partition_range_start": "a", "dagster/asset_partition_range_end": "b"}
+    materialise(home, [parts], tags=whole)
+    materialise(home, [parts], partition_key="b")
+    materialise(home, [parts.to_source_assets()[0], used])
+    assert read == [{"a": "a", "b": "b"}]
+
+
+def test_what_was_never_made_or_was_removed_is_named(home):
+    pointers = FolderPointers(home=str(home))
+    with pytest.raises(DataError, match="materialise made first"):
+        pointers.folder(dg.AssetKey("made"))
+    materialise(home, [maker(home, "one")])
+    (home / "store" / "one").rmdir()
+    with pytest.raises(DataError, match="materialise made again"):
+        pointers.folder(dg.AssetKey("made"))

@@ -1,0 +1,165 @@
+"""A scene through the chain, with a field made from its true mask in place of a network's."""
+
+import dataclasses
+import json
+import pathlib
+import shutil
+
+import numpy as np
+import pytest
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.execution.simulate import ExecutionSettings
+from deltasafe.geometry import Trajectory
+from deltasafe.perception.calibration import Calibration
+from deltasafe.planning import MotionSettings, ToolBody
+from deltasafe.scene import FieldSettings, OccupancyGrid, load_scenes
+from deltasafe.trials.audit import audit_trajectory
+from deltasafe.trials.executions import execute_scenes, load_outcomes
+from deltasafe.trials.fields import load_field, load_p_occupied, write_fields
+from deltasafe.trials.motions import load_motion, plan_scenes
+from deltasafe.trials.safety_report import write_safety_report
+from deltasafe.trials.selection import load_selection, select_scenes
+
+SCENES = pathlib.Path(__file__).parents[3] / "datasets" / "scenes"
+CALIBRATION = Calibration(50, 1, 0.98, 0.95, 0.01, 0.05, 0.01, smallest_supported_delta=0.03)
+
+
+class Oracle:
+    """Sees the true mask: (M = 1 ensemble) for tests of what comes after perception."""
+
+    def __init__(self, scenes):
+        import cv2
+
+        self.by_image = {}
+        for scene in scenes:
+            image = cv2.imread(str(scene.image_path), cv2.IMREAD_COLOR_RGB)
+            mask = cv2.imread(str(scene.mask_path), cv2.IMREAD_GRAYSCALE)
+            self.by_image[image.tobytes()] = cv2.GaussianBlur(mask.astype(np.float32) / 255, (0, 0), 2.0)
+
+    def p_occupied(self, rgb):
+        return self.by_image[rgb.tobytes()]
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory):
+    """Scene 0 as it is, and once more with a goal on top of the hand."""
+    source = tmp_path_factory.mktemp("scenes")
+    for name in ("scene_000", "scene_900"):
+        shutil.copytree(SCENES / "scene_000", source / name)
+    record = json.loads((source / "scene_900" / "scene.json").read_text())
+    record["id"] = "scene_900"
+    record["goal"]["position_m"] = [0.03, -0.05, 0.03]
+    (source / "scene_900" / "scene.json").write_text(json.dumps(record))
+    # another picture, so that the oracle can tell the scenes apart
+    shutil.copy(SCENES / "scene_003" / "image.jpg", source / "scene_900" / "image.jpg")
+
+    root = tmp_path_factory.mktemp("chain")
+    scenes = select_scenes(source, 0, root / "scenes")
+    write_fields(Oracle(scenes), scenes, root / "fields", FieldSettings())
+    motions = plan_scenes(scenes, root / "fields", root / "motions", MotionSettings(cost="area"), CALIBRATION, 0)
+    outcomes = execute_scenes(scenes, root / "motions", root / "executions", ExecutionSettings(), 0)
+    report = write_safety_report(
+        scenes, root / "fields", root / "motions", root / "executions", root / "report", n_films=1
+    )
+    return scenes, root, motions, outcomes, report
+
+
+def test_an_executed_motion_touches_nothing_and_is_delta_safe_throughout(chain):
+    report = chain[-1]
+    verdict = report.scenes[0].verdict
+    assert report.scenes[0].outcome == "executed"
+    assert verdict.safe
+    assert verdict.delta_safe_share == 1.0
+    assert verdict.contacts == 0
+    assert verdict.min_tool_to_hand_m > 0
+    assert verdict.max_error_m < 0.005
+
+
+def test_a_scene_without_a_safe_path_is_an_outcome_with_its_reason(chain):
+    _, root, motions, outcomes, report = chain
+    assert not motions["scene_900"].is_safe
+    assert "goal unsafe" in outcomes[1].reason
+    assert load_outcomes(root / "executions") == outcomes
+    assert report.scenes[1].verdict is None
+    assert "goal unsafe" in report.scenes[1].outcome
+    assert report.figures()["scenes_executed"] == 1
+
+
+def test_the_report_is_complete_on_disk(chain):
+    _, root, _, _, report = chain
+    text = (root / "report" / "report.md").read_text()
+    for name in ("scene_000-plan.png", "scene_000-execution.png", "scene_000.gif", "scene_900-plan.png"):
+        assert (root / "report" / name).is_file()
+        assert name in text
+    assert "1 of 2 scenes were executed" in text
+    stored = json.loads((root / "report" / "report.json").read_text())
+    assert stored["figures"] == pytest.approx(report.figures())
+
+
+def test_the_audit_agrees_with_the_plan_and_finds_what_is_unsafe(chain):
+    scenes, root, motions, _, _ = chain
+    motion, grid = motions["scene_000"], load_field(root / "fields", "scene_000")
+    assert audit_trajectory(motion.trajectory, grid, motion.body, 0.05).unsafe_poses == 0
+    through_the_hand = np.linspace(scenes[0].start.as_array(), [0.03, -0.05, 0.03, 0.0], 200)
+    time_s = np.arange(200) / 100
+    straight = Trajectory(time_s, through_the_hand, np.zeros((200, 4)))
+    audited = audit_trajectory(straight, grid, motion.body, 0.05)
+    assert audited.unsafe_poses > 0
+    assert audited.worst_p_occupied > 0.9
+
+
+def test_the_audit_sees_a_point_that_only_the_turned_tool_reaches():
+    """A wall 20 mm beside the path: beyond the short semi-axis, within the long one."""
+    p_occupied = np.zeros((40, 40, 10), np.float32)
+    p_occupied[:, 30:, :] = 1.0
+    grid = OccupancyGrid(p_occupied, np.array([-0.1, -0.13, 0.0]), 0.005)
+    poses = np.zeros((50, 4))
+    poses[:, 0], poses[:, 2] = np.linspace(-0.03, 0.03, 50), 0.02
+    time_s = np.arange(50) / 100
+    turned = poses.copy()
+    turned[25, 3] = np.pi / 2
+    along = audit_trajectory(Trajectory(time_s, poses, 0 * poses), grid, ToolBody(), 0.05)
+    across = audit_trajectory(Trajectory(time_s, turned, 0 * poses), grid, ToolBody(), 0.05)
+    assert along.unsafe_poses == 0
+    assert across.unsafe_poses > 0
+
+
+def test_planning_below_the_supported_delta_is_refused_before_anything_is_written(chain, tmp_path):
+    scenes, root = chain[0], chain[1]
+    settings = MotionSettings(delta=0.02)
+    with pytest.raises(SettingsError, match=r"0\.03"):
+        plan_scenes(scenes, root / "fields", tmp_path / "motions", settings, CALIBRATION, 0)
+    assert not (tmp_path / "motions").exists()
+
+
+def test_what_was_saved_is_what_was_planned(chain):
+    _, root, motions, _, _ = chain
+    stored = load_motion(root / "motions", "scene_000")
+    assert np.array_equal(stored.trajectory.poses, motions["scene_000"].trajectory.poses)
+    assert stored.settings == motions["scene_000"].settings
+    assert load_p_occupied(root / "fields", "scene_000").shape == (480, 640)
+
+
+def test_a_replaced_image_is_noticed(chain, tmp_path):
+    source = tmp_path / "scenes"
+    shutil.copytree(SCENES / "scene_001", source / "scene_001")
+    select_scenes(source, 1, tmp_path / "selection")
+    assert [scene.id for scene in load_selection(tmp_path / "selection")] == ["scene_001"]
+    shutil.copy(SCENES / "scene_002" / "image.jpg", source / "scene_001" / "image.jpg")
+    with pytest.raises(DataError, match="was replaced"):
+        load_selection(tmp_path / "selection")
+
+
+def test_more_scenes_than_there_are_is_refused(tmp_path):
+    n = len(load_scenes(SCENES))
+    with pytest.raises(SettingsError, match=f"between 0 \\(all\\) and {n}"):
+        select_scenes(SCENES, n + 1, tmp_path / "selection")
+
+
+def test_an_image_of_another_size_than_its_camera_is_refused(tmp_path):
+    scene = load_scenes(SCENES)[0]
+    wrong = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=320))
+    with pytest.raises(DataError, match="its camera has 320 x 480"):
+        write_fields(Oracle([scene]), [wrong], tmp_path / "fields", FieldSettings())
+    assert not (tmp_path / "fields").exists()
