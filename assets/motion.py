@@ -161,10 +161,10 @@ def safety_report(
     )
     film = next((inline_picture(folder / scene.film) for scene in report.scenes if scene.film), None)
     metadata: Metadata = {
-        **report.figures(),
         "report": dg.MetadataValue.md((folder / "summary.md").read_text(encoding="utf-8")),
         "plans": inline_picture(folder / "plans.jpg"),
-        "folder": str(folder),
         **({} if film is None else {"film": film}),
+        **report.figures(),
+        "folder": str(folder),
     }
     return dg.Output(folder, metadata=metadata)

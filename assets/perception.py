@@ -147,7 +147,7 @@ def calibration_report(
         progress=progress_of(context),
     )
     tracker.report(trained[0].ensemble_identity, report.figures(), folder)
-    metadata: Metadata = {**report.figures(), "report": inline_report(folder / "report.md"), "folder": str(folder)}
+    metadata: Metadata = {"report": inline_report(folder / "report.md"), **report.figures(), "folder": str(folder)}
     return dg.Output(folder, metadata=metadata)
 
 

@@ -3,7 +3,6 @@
 import dataclasses
 
 import dagster as dg
-import pydantic
 import pytest
 
 from assets.config import configurable
@@ -32,9 +31,15 @@ def test_tuples_are_lists_in_the_form():
     assert config(left_out=["noise"]).settings().left_out == ("noise",)
 
 
-def test_an_unknown_key_is_refused():
-    with pytest.raises(pydantic.ValidationError, match="epoch_count"):
-        configurable(TrainingSettings())(epoch_count=3)
+def test_an_unknown_key_is_refused_by_dagster():
+    config_class = configurable(TrainingSettings())
+
+    @dg.asset
+    def reader(config: config_class):
+        raise AssertionError
+
+    with pytest.raises(dg.DagsterInvalidConfigError, match="epoch_count"):
+        dg.materialize([reader], run_config={"ops": {"reader": {"config": {"epoch_count": 3}}}})
 
 
 def test_a_value_outside_its_domain_is_refused_by_the_rules_of_the_library():
