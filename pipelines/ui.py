@@ -30,18 +30,21 @@ def main() -> int:
         f"MLflow:  http://127.0.0.1:{options.mlflow_port}/#/experiments?workflowType=machine_learning",
         flush=True,
     )
+    # sessions of their own: a signal must reach each leader alone, which then stops its children in order
     running = [subprocess.Popen(command, cwd=PROJECT, start_new_session=True) for command in commands]
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:
         running[0].wait()
     except KeyboardInterrupt:
-        pass
+        print("\nStopping ...", flush=True)
     finally:
         for process in running:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGTERM)
+            process.terminate()
         for process in running:
-            process.wait(timeout=30)
+            try:
+                process.wait(timeout=30)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
     return 0
 
 
