@@ -1,6 +1,7 @@
 """`make ui`: the Dagster UI, its daemon and the MLflow UI on the storage of the home; loopback only."""
 
 import argparse
+import contextlib
 import os
 import signal
 import subprocess
@@ -30,7 +31,8 @@ def main() -> int:
         f"MLflow:  http://127.0.0.1:{options.mlflow_port}/#/experiments?workflowType=machine_learning",
         flush=True,
     )
-    # sessions of their own: a signal must reach each leader alone, which then stops its children in order
+    # a shell starts background jobs with SIGINT ignored; children would inherit that, and Dagster stops its own by it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     running = [subprocess.Popen(command, cwd=PROJECT, start_new_session=True) for command in commands]
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:
@@ -38,8 +40,10 @@ def main() -> int:
     except KeyboardInterrupt:
         print("\nStopping ...", flush=True)
     finally:
-        for process in running:
-            process.terminate()
+        dagster_ui, mlflow_ui = running
+        dagster_ui.terminate()  # the leader alone: it stops its children in order, and hangs if they die first
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(mlflow_ui.pid, signal.SIGTERM)  # the whole group: its leader passes nothing on
         for process in running:
             try:
                 process.wait(timeout=30)
