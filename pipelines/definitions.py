@@ -2,6 +2,8 @@
 
 import dagster as dg
 
+# imported here and not below: the checkout is on the path only while this module is being loaded
+from pipelines.build import build_defs
 from pipelines.home import set_quiet_environment
 
 set_quiet_environment()
@@ -10,6 +12,4 @@ set_quiet_environment()
 @dg.definitions
 def defs() -> dg.Definitions:
     """The definitions for `$DELTASAFE_HOME` and the preset of `$DELTASAFE_PRESET`."""
-    from pipelines.build import build_defs
-
     return build_defs()
