@@ -90,7 +90,7 @@ def augmented_hands(
     folder = store.folder("augmented_hands", context.run_id[:8])
     settings, progress = config.augmentation.settings(), progress_of(context)
     made = write_augmented_set(hands, backgrounds, settings, folder, workers=config.workers, progress=progress)
-    sheet = folder.with_name(f"{folder.name}-contact-sheet.png")
+    sheet = folder.with_name(f"{folder.name}-sheet.png")
     contact_sheet(hands, made, sheet)
     metadata: Metadata = {"images": made.n, "digest": made.digest, "contact sheet": inline_picture(sheet)}
     return dg.Output(folder, metadata=metadata)

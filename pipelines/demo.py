@@ -11,6 +11,7 @@ from typing import Any
 from deltasafe.presets import VARIABLE
 from deltasafe.storage import write_json
 from pipelines.home import PROJECT, prepare_home
+from pipelines.pictures import record_pictures
 
 __all__ = ["main"]
 
@@ -23,7 +24,7 @@ def everything():  # type: ignore[no-untyped-def]
 
 
 def main() -> int:
-    """Run the job; 0 if every step and every blocking check passed."""
+    """Run the job; 0 if every step and every blocking check passed, 1 otherwise."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.demo", description=__doc__)
     parser.add_argument("--record", type=pathlib.Path, help="also write the figures to this file (docs/results/...)")
     options = parser.parse_args()
@@ -44,7 +45,7 @@ def main() -> int:
         print("`make ui` shows the run and the failed step.")
         return 1
     figures = _figures(root) | {"minutes_total": round(minutes, 1)}
-    command = "make demo" if preset == "default" else f"make demo PRESET={preset}"
+    command = f"make {'record' if options.record else 'demo'}" + ("" if preset == "default" else f" PRESET={preset}")
     record = {
         "figures": figures,
         "command": command,
@@ -55,6 +56,7 @@ def main() -> int:
     write_json(root / "results.json", record)
     if options.record:
         write_json(options.record, record)
+        record_pictures(_folder(root, "augmented_hands"), *_reports(root), options.record.with_suffix(""))
     _print_summary(root, figures)
     return 0
 
@@ -78,7 +80,7 @@ def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
 
 
 def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:
-    safety = _folder(root, "safety_report")
+    calibration, safety = _reports(root)
     films = sorted(safety.glob("*.gif"))
     print(f"\nDone in {figures['minutes_total']:.1f} minutes.\n")
     print(
@@ -89,7 +91,7 @@ def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:
         f"  {int(figures['scenes_executed'])} of {int(figures['scenes'])} scenes executed, "
         f"{int(figures['scenes_safe'])} safe throughout, {int(figures['contacts'])} contacts with the true hand\n"
     )
-    print(f"  calibration report  {_folder(root, 'calibration_report') / 'report.md'}")
+    print(f"  calibration report  {calibration / 'report.md'}")
     print(f"  safety report       {safety / 'report.md'}")
     print(f"  films               {', '.join(str(film) for film in films) or 'none'}")
     print(f"  frozen ensemble     {_folder(root, 'frozen_ensemble')}")

@@ -3,6 +3,7 @@
 import contextlib
 import pathlib
 import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -74,7 +75,9 @@ class MlflowTracker:
                     return f"models:/{MODEL_NAME}@{ALIAS}"
             run = self._run(client, identity, {"mlflow.runName": f"ensemble {identity[:8]}"}, "")
             mlflow.set_tracking_uri(tracking_uri(self.home))
-            with mlflow.start_run(run_id=run):
+            with mlflow.start_run(run_id=run), warnings.catch_warnings():
+                # it advises type hints and an input example; the signature below says more than either
+                warnings.simplefilter("ignore", UserWarning)
                 mlflow.pyfunc.log_model(
                     name="ensemble",
                     python_model=str(_MODEL_CODE),

@@ -1,0 +1,33 @@
+"""Pictures for the README: what a recorded run made, in sizes that a page can show."""
+
+import pathlib
+import shutil
+
+__all__ = ["record_pictures"]
+
+
+def record_pictures(
+    augmented: pathlib.Path, calibration: pathlib.Path, safety: pathlib.Path, destination: pathlib.Path
+) -> None:
+    """Copy the contact sheet, the reliability diagram, and plan and film of the closest execution.
+
+    Args:
+        augmented, calibration, safety: folders of the run's augmented set and of its two reports.
+        destination: folder of the pictures, replaced.
+    """
+    from PIL import Image
+
+    from deltasafe.storage import atomic_folder
+
+    with atomic_folder(destination) as temporary:
+        shutil.copyfile(calibration / "reliability.png", temporary / "reliability.png")
+        pictures = {"augmentation": augmented.with_name(f"{augmented.name}-sheet.png")}
+        films = sorted(safety.glob("*.gif"))
+        if films:
+            shutil.copyfile(films[0], temporary / "execution.gif")
+            pictures["plan"] = safety / f"{films[0].stem}-plan.png"
+        for name, path in pictures.items():
+            with Image.open(path) as opened:
+                picture = opened.convert("RGB")
+            picture.thumbnail((1600, 1600))
+            picture.save(temporary / f"{name}.jpg", quality=82)
