@@ -61,14 +61,17 @@ def main() -> int:
     return 0
 
 
+def _reports(root: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
+    return _folder(root, "calibration_report"), _folder(root, "safety_report")
+
+
 def _figures(root: pathlib.Path) -> dict[str, float]:
     from deltasafe.perception.calibration_report import CalibrationReport
     from deltasafe.trials.safety_report import read_figures
 
-    perception = CalibrationReport.load(_folder(root, "calibration_report")).figures()
-    return {
-        name: round(value, 6) for name, value in {**perception, **read_figures(_folder(root, "safety_report"))}.items()
-    }
+    calibration, safety = _reports(root)
+    figures = {**CalibrationReport.load(calibration).figures(), **read_figures(safety)}
+    return {name: round(value, 6) for name, value in figures.items()}
 
 
 def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from deltasafe.errors import DataError
 from deltasafe.figures.occupancy import occupancy_overlay
 from deltasafe.perception.hands import read_rgb
 from deltasafe.scene import LoggedScene
@@ -47,6 +48,8 @@ def tile_pictures(pictures: Sequence[pathlib.Path], destination: pathlib.Path, c
     tiles = []
     for path in pictures:
         picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR_RGB)
+        if picture is None:
+            raise DataError(path, "is not a picture; make it again")
         height = round(640 * picture.shape[0] / picture.shape[1])
         tiles.append(cv2.resize(picture, (640, height), interpolation=cv2.INTER_AREA))
     height = max(len(tile) for tile in tiles)

@@ -3,12 +3,8 @@
 import concurrent.futures
 import multiprocessing
 
-import pytest
-
 from pipelines.home import tracking_uri
 from pipelines.tracking import EXPERIMENT, MlflowTracker
-
-pytestmark = pytest.mark.filterwarnings("ignore")  # of MLflow's own making, under a Python that it does not own
 
 
 def record(home, name):
