@@ -146,7 +146,7 @@ def safety_report(
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """Was what was executed delta-safe? Clearances to the true hand, contacts, tracking errors, films."""
-    from deltasafe.trials.safety_report import write_safety_report
+    from deltasafe.trials.safety_writing import write_safety_report
     from deltasafe.trials.selection import load_selection
 
     folder = store.folder("safety_report", context.run_id[:8])

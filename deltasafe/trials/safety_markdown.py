@@ -1,25 +1,22 @@
 """The safety report as Markdown, for the asset's page and for files."""
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from deltasafe.trials.safety_report import SafetyReport, SceneReport
+from deltasafe.trials.safety_report import SafetyReport, SceneReport
 
 __all__ = ["safety_markdown", "safety_summary"]
 
 
-def safety_markdown(report: "SafetyReport") -> str:
+def safety_markdown(report: SafetyReport) -> str:
     """Summary, a table of all scenes, and the pictures that lie beside the report."""
     parts = [_summary(report), _table(report), _meaning(report), _films(report), _pictures(report)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def safety_summary(report: "SafetyReport") -> str:
+def safety_summary(report: SafetyReport) -> str:
     """The same without pictures."""
     return "\n\n".join([_summary(report), _table(report), _meaning(report)]) + "\n"
 
 
-def _summary(report: "SafetyReport") -> str:
+def _summary(report: SafetyReport) -> str:
     figures = report.figures()
     executed = int(figures["scenes_executed"])
     lines = [
@@ -44,7 +41,7 @@ def _summary(report: "SafetyReport") -> str:
     return "\n".join(lines)
 
 
-def _table(report: "SafetyReport") -> str:
+def _table(report: SafetyReport) -> str:
     lines = [
         "## Scene by scene",
         "",
@@ -55,7 +52,7 @@ def _table(report: "SafetyReport") -> str:
     return "\n".join(lines + [_row(scene) for scene in report.scenes])
 
 
-def _row(scene: "SceneReport") -> str:
+def _row(scene: SceneReport) -> str:
     verdict = scene.verdict
     planned = [
         "-" if scene.cost is None else f"{scene.cost:.4f}",
@@ -79,12 +76,12 @@ def _row(scene: "SceneReport") -> str:
     return "| " + " | ".join([scene.scene_id, outcome, *planned, *measured]) + " |"
 
 
-def _films(report: "SafetyReport") -> str:
+def _films(report: SafetyReport) -> str:
     films = [f"![{scene.scene_id}]({scene.film})" for scene in report.scenes if scene.film]
     return "## Films\n\n" + "\n\n".join(films) if films else ""
 
 
-def _pictures(report: "SafetyReport") -> str:
+def _pictures(report: SafetyReport) -> str:
     parts = ["## Plans and executions"]
     for scene in report.scenes:
         parts.append(f"### {scene.scene_id}: {scene.outcome}\n\n![plan of {scene.scene_id}]({scene.scene_id}-plan.png)")
@@ -93,7 +90,7 @@ def _pictures(report: "SafetyReport") -> str:
     return "\n\n".join(parts)
 
 
-def _meaning(report: "SafetyReport") -> str:
+def _meaning(report: SafetyReport) -> str:
     speed = f"{report.verdicts[0].min_speed_mps:g} m/s" if report.verdicts else "the smallest speed"
     return f"""## What the figures mean
 

@@ -68,5 +68,5 @@ def test_nothing_unpickles():
     for path in MODULES:
         text = path.read_text(encoding="utf-8")
         assert "allow_pickle=True" not in text, path
-        assert "import pickle" not in text, path
+        assert "pickle.load" not in text, path
         assert text.count("torch.load(") == text.count("weights_only=True"), path

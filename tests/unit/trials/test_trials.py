@@ -18,7 +18,7 @@ from deltasafe.trials.audit import audit_trajectory
 from deltasafe.trials.executions import execute_scenes, load_outcomes
 from deltasafe.trials.fields import load_field, load_p_occupied, write_fields
 from deltasafe.trials.motions import load_motion, plan_scenes
-from deltasafe.trials.safety_report import write_safety_report
+from deltasafe.trials.safety_writing import write_safety_report
 from deltasafe.trials.selection import load_selection, select_scenes
 
 SCENES = pathlib.Path(__file__).parents[3] / "datasets" / "scenes"
