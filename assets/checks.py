@@ -113,7 +113,7 @@ def audit_finds_no_unsafe_point(
 
 @dg.asset_check(
     asset="safety_report",
-    description="What was executed touched no hand, kept its tracking bound, and was delta-safe at every pose.",
+    description="Every motion that was executed was completed, touched nothing, and was delta-safe at every pose.",
 )
 def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.trials.safety_report import read_figures
@@ -121,3 +121,20 @@ def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
     figures = read_figures(safety_report)
     passed = figures["contacts"] == 0 and figures["scenes_safe"] == figures["scenes_executed"] > 0
     return dg.AssetCheckResult(passed=passed, metadata=figures)
+
+
+@dg.asset_check(
+    asset="safety_report",
+    description="The tracking error stayed within gamma(max(v, v_min)) at every pose.",
+)
+def tracking_kept_its_bound(safety_report: pathlib.Path) -> dg.AssetCheckResult:
+    from deltasafe.trials.safety_report import read_figures
+
+    figures = read_figures(safety_report)
+    excess_m = figures.get("max_tracking_excess_m", 0.0)
+    share = figures.get("tracking_share_within_bound", 1.0)
+    return dg.AssetCheckResult(
+        passed=excess_m <= 0.0,
+        severity=dg.AssetCheckSeverity.WARN,
+        metadata={"largest excess [m]": excess_m, "share of time within": share},
+    )

@@ -114,6 +114,7 @@ def executed_motions(
     context: dg.AssetExecutionContext,
     config: ExecutedConfig,
     logged_scenes: pathlib.Path,
+    occupancy_fields: pathlib.Path,
     planned_motions: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
@@ -124,6 +125,7 @@ def executed_motions(
     folder = store.folder("executed_motions", context.run_id[:8])
     outcomes = execute_scenes(
         load_selection(logged_scenes),
+        occupancy_fields,
         planned_motions,
         folder,
         config.execution.settings(),

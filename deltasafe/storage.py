@@ -13,7 +13,7 @@ from typing import Any
 
 from deltasafe.errors import DataError
 
-__all__ = ["atomic_file", "atomic_folder", "digest_of", "read_json", "sha256_of_file", "write_json"]
+__all__ = ["atomic_file", "atomic_folder", "digest_of", "digest_of_code", "read_json", "sha256_of_file", "write_json"]
 
 
 @contextlib.contextmanager
@@ -97,6 +97,12 @@ def digest_of(value: Any) -> str:
     """SHA-256 of a JSON-like value (dataclasses included), independent of key order."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_plain)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def digest_of_code() -> str:
+    """SHA-256 over the sources of this package: what made an artifact."""
+    root = pathlib.Path(__file__).parent
+    return digest_of({path.relative_to(root).as_posix(): sha256_of_file(path) for path in root.rglob("*.py")})
 
 
 def _plain(value: Any) -> Any:

@@ -30,6 +30,10 @@ def main() -> int:
     options = parser.parse_args()
     root = prepare_home()
     preset = os.environ.get(VARIABLE) or "default"
+    if options.record and (root / "store").exists():
+        print(f"{root} holds earlier work, which a run would find finished: its minutes would not be those of a whole")
+        print("run. Record into a fresh home: DELTASAFE_HOME=/some/new/folder make record")
+        return 1
     print(f"Preset {preset!r}; everything that is made goes to {root}", flush=True)
 
     import dagster as dg
@@ -92,7 +96,7 @@ def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:
     )
     print(
         f"  {int(figures['scenes_executed'])} of {int(figures['scenes'])} scenes executed, "
-        f"{int(figures['scenes_safe'])} safe throughout, {int(figures['contacts'])} contacts with the true hand\n"
+        f"{int(figures['scenes_safe'])} safe throughout, {int(figures['contacts'])} contacts with hand or table\n"
     )
     print(f"  calibration report  {calibration / 'report.md'}")
     print(f"  safety report       {safety / 'report.md'}")

@@ -4,6 +4,7 @@ import fcntl
 import os
 import pathlib
 
+from deltasafe.presets import VARIABLE
 from deltasafe.storage import atomic_file
 
 __all__ = ["DATASETS", "PROJECT", "home", "prepare_home", "tracking_uri"]
@@ -22,8 +23,13 @@ python_logs:
 
 
 def home() -> pathlib.Path:
-    """`$DELTASAFE_HOME`, by default `.deltasafe/` in the checkout."""
-    return pathlib.Path(os.environ.get("DELTASAFE_HOME") or PROJECT / ".deltasafe").expanduser().resolve()
+    """`$DELTASAFE_HOME`; by default `.deltasafe/` in the checkout, and a folder of its own in it for other presets.
+
+    A smoke run must not replace what the default preset has made and registered.
+    """
+    preset = os.environ.get(VARIABLE) or "default"
+    usual = PROJECT / ".deltasafe" / ("" if preset == "default" else preset)
+    return pathlib.Path(os.environ.get("DELTASAFE_HOME") or usual).expanduser().resolve()
 
 
 def tracking_uri(root: pathlib.Path) -> str:

@@ -25,24 +25,29 @@ class FolderPointers(dg.ConfigurableIOManager):
             return
         by_partition = obj if isinstance(obj, dict) else {None: obj}
         for partition, folder in by_partition.items():
-            write_json(
-                self._pointer(context.asset_key, partition),
-                {"folder": self._relative(pathlib.Path(folder)), "run_id": context.run_id},
-            )
+            pointer = {"folder": self._relative(pathlib.Path(folder)), "run_id": context.run_id}
+            for run_id in (context.run_id, None):
+                write_json(self._pointer(context.asset_key, partition, run_id), pointer)
 
     def load_input(self, context: dg.InputContext) -> Any:
+        run_id = context.step_context.run_id
         if not context.has_asset_partitions:
-            return self.folder(context.asset_key)
-        return {key: self.folder(context.asset_key, key) for key in sorted(context.asset_partition_keys)}
+            return self.folder(context.asset_key, run_id=run_id)
+        keys = sorted(context.asset_partition_keys)
+        return {key: self.folder(context.asset_key, key, run_id) for key in keys}
 
-    def folder(self, asset_key: dg.AssetKey, partition: str | None = None) -> pathlib.Path:
-        """The folder that was last made.
+    def folder(self, asset_key: dg.AssetKey, partition: str | None = None, run_id: str | None = None) -> pathlib.Path:
+        """The folder that ``run_id`` made, if it made one, else the one that was last made by any run.
+
+        So the steps of a run see what their own run made, whatever another run does meanwhile.
 
         Raises:
             DataError: there is none, or it was removed.
         """
         name = asset_key.to_user_string() + (f" [{partition}]" if partition else "")
-        pointer = self._pointer(asset_key, partition)
+        pointer = self._pointer(asset_key, partition, run_id)
+        if run_id is None or not pointer.is_file():
+            pointer = self._pointer(asset_key, partition)
         if not pointer.is_file():
             raise DataError(pointer, f"is missing: materialise {name} first")
         folder = pathlib.Path(self.home) / read_json(pointer)["folder"]
@@ -50,8 +55,9 @@ class FolderPointers(dg.ConfigurableIOManager):
             raise DataError(folder, f"was removed: materialise {name} again")
         return folder
 
-    def _pointer(self, asset_key: dg.AssetKey, partition: str | None) -> pathlib.Path:
-        base = pathlib.Path(self.home, "pointers", *asset_key.path)
+    def _pointer(self, asset_key: dg.AssetKey, partition: str | None, run_id: str | None = None) -> pathlib.Path:
+        root = pathlib.Path(self.home, "pointers", *(("runs", run_id) if run_id else ("current",)))
+        base = root.joinpath(*asset_key.path)
         return base / f"{partition}.json" if partition else base.with_suffix(".json")
 
     def _relative(self, folder: pathlib.Path) -> str:

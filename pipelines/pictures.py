@@ -17,15 +17,16 @@ def record_pictures(
     """
     from PIL import Image
 
-    from deltasafe.storage import atomic_folder
+    from deltasafe.storage import atomic_folder, read_json
 
     with atomic_folder(destination) as temporary:
         shutil.copyfile(calibration / "reliability.png", temporary / "reliability.png")
         pictures = {"augmentation": augmented.with_name(f"{augmented.name}-sheet.png")}
-        films = sorted(safety.glob("*.gif"))
-        if films:
-            shutil.copyfile(films[0], temporary / "execution.gif")
-            pictures["plan"] = safety / f"{films[0].stem}-plan.png"
+        filmed = [scene for scene in read_json(safety / "report.json")["scenes"] if scene["film"]]
+        if filmed:
+            closest = min(filmed, key=lambda scene: scene["verdict"]["min_tool_to_hand_m"] or 0.0)
+            shutil.copyfile(safety / closest["film"], temporary / "execution.gif")
+            pictures["plan"] = safety / f"{closest['scene_id']}-plan.png"
         for name, path in pictures.items():
             with Image.open(path) as opened:
                 picture = opened.convert("RGB")

@@ -5,9 +5,10 @@ import pathlib
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from pipelines.home import FileLock, set_quiet_environment, tracking_uri
+from pipelines.home import PROJECT, FileLock, set_quiet_environment, tracking_uri
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -19,6 +20,7 @@ MODEL_NAME = "deltasafe-hand-ensemble"
 ALIAS = "champion"
 
 _MODEL_CODE = pathlib.Path(__file__).with_name("mlflow_model.py")
+_REQUIREMENTS = ("torch", "torchvision", "timm", "safetensors", "numpy", "opencv-python-headless")
 _IDENTITY = "deltasafe.identity"
 _MEMBER = "deltasafe.member"
 
@@ -39,7 +41,7 @@ class MlflowTracker:
         self.tags = dict(tags or {})
 
     def member(self, identity: str, name: str, parameters: Mapping[str, object], losses: Sequence[float]) -> None:
-        """Record a trained member as a child run of its ensemble, replacing an earlier record of it."""
+        """Record a trained member, once, as a child run of its ensemble."""
         from mlflow.entities import Metric, Param
 
         with self._client() as client:
@@ -50,6 +52,8 @@ class MlflowTracker:
             metrics = [Metric("loss", losses[k], now_ms, k) for k in range(0, len(losses), stride)]
             known = client.get_run(child).data.params
             new = [Param(key, str(value)) for key, value in parameters.items() if key not in known]
+            if client.get_metric_history(child, "loss"):
+                metrics = []  # this member is known already
             client.log_batch(child, metrics=metrics, params=new)
             client.set_terminated(child)
 
@@ -69,9 +73,9 @@ class MlflowTracker:
         import mlflow
 
         with self._client() as client:
-            for version in self._versions(client):
-                if version.tags.get("artifact") == folder.name:
-                    client.set_registered_model_alias(MODEL_NAME, ALIAS, version.version)
+            for known in self._versions(client):
+                if known.tags.get("artifact") == folder.name:
+                    client.set_registered_model_alias(MODEL_NAME, ALIAS, known.version)
                     return f"models:/{MODEL_NAME}@{ALIAS}"
             run = self._run(client, identity, {"mlflow.runName": f"ensemble {identity[:8]}"}, "")
             mlflow.set_tracking_uri(tracking_uri(self.home))
@@ -82,14 +86,15 @@ class MlflowTracker:
                     name="ensemble",
                     python_model=str(_MODEL_CODE),
                     artifacts={"ensemble": str(folder)},
-                    pip_requirements=["deltasafe[vision]"],
+                    code_paths=[str(PROJECT / "deltasafe")],
+                    pip_requirements=[f"{name}=={version(name)}" for name in _REQUIREMENTS],
                     signature=_signature(),
                     registered_model_name=MODEL_NAME,
                 )
-            version = max(self._versions(client), key=lambda found: int(found.version))
+            newest = max(self._versions(client), key=lambda found: int(found.version))
             for key, value in {**tags, "artifact": folder.name}.items():
-                client.set_model_version_tag(MODEL_NAME, version.version, key, value)
-            client.set_registered_model_alias(MODEL_NAME, ALIAS, version.version)
+                client.set_model_version_tag(MODEL_NAME, newest.version, key, value)
+            client.set_registered_model_alias(MODEL_NAME, ALIAS, newest.version)
         return f"models:/{MODEL_NAME}@{ALIAS}"
 
     @contextlib.contextmanager

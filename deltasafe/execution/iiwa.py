@@ -193,7 +193,7 @@ class IiwaArm:
         table_z_m: float = 0.0,
         seed: int = 0,
     ) -> None:
-        mount, friction = mount or ArmMount(), friction or JointFriction()
+        mount, friction = mount or ArmMount.beside(table_z_m), friction or JointFriction()
         self.kinematics = IiwaKinematics(mount, body.shaft_length_m)
         self._world = World(body, mount, table_z_m, mesh)
         self._bullet, self._client, self._arm = self._world.bullet, self._world.client, self._world.arm

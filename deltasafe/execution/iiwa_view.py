@@ -80,7 +80,7 @@ class ArmView:
         table_z_m: float = 0.0,
         mount: ArmMount | None = None,
     ) -> None:
-        self._world = World(body, mount or ArmMount(), table_z_m, mesh)
+        self._world = World(body, mount or ArmMount.beside(table_z_m), table_z_m, mesh)
 
     def __enter__(self) -> Self:
         return self

@@ -61,6 +61,11 @@ class ArmMount:
             if not math.isfinite(value):
                 raise SettingsError(f"{name} must be finite, got {value}")
 
+    @classmethod
+    def beside(cls, table_z_m: float) -> "ArmMount":
+        """The usual place, for a table of that height."""
+        return cls(base_z_m=cls.base_z_m + table_z_m)
+
 
 class IiwaKinematics:
     """Forward and inverse kinematics of an iiwa 14 with a straight tool below its flange.

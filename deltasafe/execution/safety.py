@@ -60,8 +60,9 @@ class SafetyVerdict:
         share_within_bound, max_excess_m: against gamma(max(v, min_speed_mps)); the excess is negative when inside.
         share_within_bound_at_true_speed: against gamma(v) itself, which the paper's line puts at 0 at rest.
         by_speed: the same by reference speed.
-        min_tool_to_hand_m, min_arm_to_hand_m: smallest distances to the true hand; None: no hand or no links.
-        contacts: contact points counted by the physics over the judged part.
+        min_tool_to_hand_m, min_arm_to_hand_m: smallest distances to the true hand, approach and retreat included;
+            None: no hand or no links.
+        contacts: contact points with hand or table counted by the physics, approach and retreat included.
         duration_s: of the judged part.
         safe: the whole motion was delta-safe, completed, and touched nothing.
     """
@@ -123,10 +124,10 @@ def judge(
     error = execution.workspace_error_m[judged]
     speed = execution.reference_speed_mps[judged]
     excess = error - bound.error_m(np.maximum(speed, min_speed_mps))
-    contacts = int(execution.contacts[judged].sum())
+    contacts = int(execution.contacts.sum())
     whole = bool(safe[judged].all())
     time_s = execution.time_s[judged]
-    tool, arm = execution.tool_to_hand_m[judged].min(), execution.arm_to_hand_m[judged].min()
+    tool, arm = execution.tool_to_hand_m.min(), execution.arm_to_hand_m.min()
     return SafetyVerdict(
         delta=float(delta),
         poses=int(judged.sum()),

@@ -45,7 +45,7 @@ class ExecutionSettings:
     approach_speed_mps: float = 0.05
     settle_s: float = 0.3
     record_rate_hz: float = 100.0
-    monitor_margin_m: float = 0.003
+    monitor_margin_m: float = 0.001
     min_speed_mps: float = 0.01
     impedance: ImpedanceSettings = dataclasses.field(default_factory=ImpedanceSettings)
 

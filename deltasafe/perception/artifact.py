@@ -9,6 +9,7 @@ model_card.md         what it is, how it was judged, where it fails
 """
 
 import dataclasses
+import os
 import pathlib
 import shutil
 from typing import Any
@@ -23,7 +24,7 @@ from deltasafe.perception.member import Member, load_network
 from deltasafe.perception.model_card import model_card
 from deltasafe.perception.onnx_export import export_onnx
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
-from deltasafe.storage import atomic_file, atomic_folder, read_json, sha256_of_file, write_json
+from deltasafe.storage import atomic_file, atomic_folder, digest_of_code, read_json, sha256_of_file, write_json
 
 __all__ = ["FORMAT_VERSION", "FrozenEnsemble", "freeze_ensemble", "load_ensemble", "verify_artifact"]
 
@@ -80,7 +81,7 @@ def freeze_ensemble(
         )
     ensemble = Ensemble([member.network() for member in members], inference)
     parent = pathlib.Path(parent)
-    staging = parent / ".freezing"
+    staging = parent / f".freezing-{os.getpid()}"
     with atomic_folder(staging) as temporary:
         names = [f"member-{index}.safetensors" for index in range(len(members))]
         for member, name in zip(members, names, strict=True):
@@ -99,7 +100,11 @@ def freeze_ensemble(
             "are applied inside the network",
             "network": dataclasses.asdict(members[0].network_settings),
             "inference": dataclasses.asdict(inference),
-            "provenance": {"data": members[0].record["data_digest"], **(provenance or {})},
+            "provenance": {
+                "data": members[0].record["data_digest"],
+                "code": digest_of_code(),
+                **(provenance or {}),
+            },
         }
         with atomic_file(temporary / "model_card.md") as file:
             file.write_text(model_card(manifest, calibration), encoding="utf-8")
@@ -118,7 +123,7 @@ def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
     """Check that a frozen ensemble is complete and unaltered; returns its manifest.
 
     Raises:
-        ArtifactError: names the file that is missing, altered, unexpected, or of an unknown format.
+        ArtifactError: names the file that is missing, altered, or of an unknown format.
     """
     folder = pathlib.Path(folder)
     if not folder.is_dir():

@@ -40,7 +40,14 @@ def evaluate_members(
         folder: gets the report and, in ``predictions/``, what every member thinks of every image.
         inference: resolution; kept in the folder, so that the ensemble is frozen as it was judged.
         planning_delta: hand with p_occupied up to it is shown as what a planner would drive through.
+
+    Raises:
+        SettingsError: the members do not belong together.
     """
+    if len({member.ensemble_identity for member in members}) > 1:
+        raise SettingsError(
+            "the members were trained on different data or with different settings; train all of them again"
+        )
     ensemble = Ensemble([member.network() for member in members], inference, str(pick_device(device)))
     position = {item.id: index for index, item in enumerate(test.items)}
     images, labels = zip(*(test.read(index) for index in range(len(test))), strict=True)

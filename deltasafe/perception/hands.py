@@ -6,12 +6,14 @@ import pathlib
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from deltasafe.errors import DataError
 from deltasafe.storage import digest_of, sha256_of_file
 
 __all__ = ["HandItem", "HandSet", "check_disjoint", "read_registry", "read_rgb"]
 
+_EXIF_ORIENTATION = 0x0112
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
@@ -178,6 +180,12 @@ def _decode(path: pathlib.Path) -> np.ndarray:
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if image is None:
         raise DataError(path, f"is no readable image ({data.size} bytes); restore or remove it")
+    with Image.open(path) as opened:
+        orientation = opened.getexif().get(_EXIF_ORIENTATION, 1)
+    if orientation != 1:
+        raise DataError(
+            path, f"asks viewers to turn it (EXIF orientation {orientation}), which its mask may not; save it turned"
+        )
     return image
 
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 from deltasafe.perception.calibration import Calibration
+from deltasafe.perception.settings import InferenceSettings
 
 __all__ = ["model_card"]
 
@@ -10,6 +11,7 @@ __all__ = ["model_card"]
 def model_card(manifest: dict[str, Any], calibration: Calibration) -> str:
     """Markdown text; the same input gives the same text."""
     network, inference = manifest["network"], manifest["inference"]
+    height, width = InferenceSettings(**inference).network_size(inference["height"], inference["width"])
     supported = calibration.smallest_supported_delta
     delta = (
         f"The smallest delta that these images support is **{supported:g}** (at {calibration.level:.0%} confidence); "
@@ -42,8 +44,10 @@ probability that a whole motion collides nor anything about a hand that moves.
 
 ## Limits
 
-Trained on 50 rendered images and their augmentations. Expect failures on what no training image shows: small
-hands far away, several hands, faces and other bare skin, gloves, strong motion blur.
+Trained on augmentations of a small set of labelled images (the packaged set is rendered, not photographed).
+Architecture, number of epochs and inference size were chosen while looking at the packaged test images, so the
+figures above are slightly too good for new ones. Expect failures on what no training image shows: small hands far
+away, several hands, faces and other bare skin, gloves, strong motion blur.
 
 ## How to use it
 
@@ -53,6 +57,6 @@ ensemble = deltasafe.load_ensemble("FOLDER")      # verifies every file first
 p_occupied = ensemble.p_occupied(rgb)             # uint8 (H, W, 3) -> float32 (H, W)
 ```
 
-or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, {inference["height"]}, {inference["width"]}, 3);
+or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, {height}, {width}, 3);
 outputs `p_occupied` (B, h, w) and `member_p_occupied` (B, M, h, w).
 """

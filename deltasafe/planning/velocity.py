@@ -108,7 +108,7 @@ def schedule(
     test = segment_test(field, body, margin_m, CheckSettings())
     if len(path) == 1:
         return _standstill(path, test, margin_m, settings, tracking)
-    _verify(test, path.poses, margin_m)
+    _verify(test, path.poses, margin_m, body.rho_max_m)
     # the trajectory follows the arcs, the test their chords: the difference is part of the margin
     arc_test = segment_test(field, body, margin_m + CHORD_TOLERANCE_M, CheckSettings())
     curve = blend_corners(
@@ -187,13 +187,13 @@ def _standstill(
     )
 
 
-def _verify(test: SegmentTest, poses: Array, margin_m: float) -> None:
+def _verify(test: SegmentTest, poses: Array, margin_m: float, rho_max_m: float) -> None:
     """Test the edges whole, as the planner did: a conservative test may refuse pieces of an edge it passes."""
     way_m = 0.0
     for a, b in itertools.pairwise(poses):
         leg_m = float(np.linalg.norm((b - a)[:3]))
         if not is_segment_safe(test, a, b):
-            shares = np.linspace(0.0, 1.0, 2 + int(_motion(np.array([a, b]), 0.03)[0] / 0.0005))
+            shares = np.linspace(0.0, 1.0, 2 + int(_motion(np.array([a, b]), rho_max_m)[0] / 0.0005))
             near = a + shares[:, None] * (b - a)
             clearance_m = body_clearance_m(test, near)
             worst = int(clearance_m.argmin())

@@ -62,8 +62,8 @@ class LoggedScene:
         if hand_height_m <= 0:
             raise DataError(path, f"field hand_height_m must be positive, got {hand_height_m}")
         scene_id = _member(path, record, "id")
-        if not isinstance(scene_id, str) or not scene_id:
-            raise DataError(path, f"field id must be a name, got {scene_id!r}")
+        if not isinstance(scene_id, str) or not scene_id or pathlib.PurePath(scene_id).name != scene_id:
+            raise DataError(path, f"field id must be a name without slashes, got {scene_id!r}")
         scene = cls(
             id=scene_id,
             image_path=_file(path, record, "image"),

@@ -12,6 +12,7 @@ from deltasafe.execution.simulate import ExecutionSettings, execute, iiwa_for
 from deltasafe.progress import Progress, silent
 from deltasafe.scene import LoggedScene
 from deltasafe.storage import atomic_folder, read_json, write_json
+from deltasafe.trials.fields import load_field
 from deltasafe.trials.motions import load_motion
 
 __all__ = ["Outcome", "execute_scenes", "load_execution", "load_outcomes"]
@@ -29,6 +30,7 @@ class Outcome:
 @dataclasses.dataclass(frozen=True)
 class _Job:
     scene: LoggedScene
+    fields: pathlib.Path
     motions: pathlib.Path
     folder: pathlib.Path
     settings: ExecutionSettings
@@ -37,6 +39,7 @@ class _Job:
 
 def execute_scenes(
     scenes: Sequence[LoggedScene],
+    fields: str | pathlib.Path,
     motions: str | pathlib.Path,
     folder: str | pathlib.Path,
     settings: ExecutionSettings,
@@ -50,6 +53,7 @@ def execute_scenes(
     A scene without a motion, or with one that the arm cannot follow, is an outcome with its reason.
 
     Args:
+        fields: folder of `write_fields`; no link of the arm may come below the upper face of a field.
         motions: folder of `plan_scenes`.
         seed: draws the arm's friction; scene k uses seed + k. The number of ``workers`` changes nothing.
     """
@@ -58,7 +62,8 @@ def execute_scenes(
     outcomes = []
     with atomic_folder(folder) as temporary:
         jobs = [
-            _Job(scene, pathlib.Path(motions), temporary, settings, seed + index) for index, scene in enumerate(scenes)
+            _Job(scene, pathlib.Path(fields), pathlib.Path(motions), temporary, settings, seed + index)
+            for index, scene in enumerate(scenes)
         ]
         pool = concurrent.futures.ProcessPoolExecutor(
             min(workers, len(jobs)), mp_context=multiprocessing.get_context("spawn")
@@ -77,6 +82,7 @@ def _execute(job: _Job) -> Outcome:
     motion = load_motion(job.motions, scene.id)
     if motion.trajectory is None:
         return Outcome(scene.id, False, motion.reason)
+    top_z_m = float(load_field(job.fields, scene.id).upper_m[2])
     try:
         execution = execute(
             motion.trajectory,
@@ -85,7 +91,7 @@ def _execute(job: _Job) -> Outcome:
             job.settings,
             job.seed,
             bound=motion.tracking,
-            unsafe_below_m=scene.table_z_m + scene.hand_height_m,
+            unsafe_below_m=top_z_m + float(motion.tracking.error_m(motion.settings.v_max_mps)),
             make_arm=iiwa_for(motion.body, scene.true_mesh(), scene.table_z_m),
         )
     except PlanningError as error:

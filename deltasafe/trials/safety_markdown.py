@@ -24,7 +24,7 @@ def _summary(report: SafetyReport) -> str:
         "",
         f"**{executed} of {int(figures['scenes'])} scenes were executed** at delta = {report.delta:g}; "
         f"{int(figures['scenes_safe'])} of them were delta-safe as a whole, completed, and touched nothing. "
-        f"Contacts with the true hand: **{int(figures['contacts'])}**.",
+        f"Contacts with the true hand or the table: **{int(figures['contacts'])}**.",
     ]
     if executed:
         lines += [
@@ -34,7 +34,9 @@ def _summary(report: SafetyReport) -> str:
             f"| poses that were delta-safe | {figures['delta_safe_pose_share']:.2%} |",
             f"| motions delta-safe as a whole | {int(figures['motions_wholly_delta_safe'])} of {executed} |",
             f"| largest tracking error | {_mm(figures['max_tracking_error_m'])} |",
+            f"| time that the tracking error was within its bound | {figures['tracking_share_within_bound']:.2%} |",
             f"| tracking error over its bound at most | {_mm(figures['max_tracking_excess_m'])} (negative: inside) |",
+            f"| stopped by the monitor | {executed - int(figures['scenes_completed'])} |",
             f"| smallest distance of the tool to the true hand | {_mm(figures.get('min_tool_to_hand_m'))} |",
             f"| smallest distance of the arm to the true hand | {_mm(figures.get('min_arm_to_hand_m'))} |",
         ]
@@ -99,8 +101,16 @@ def _meaning(report: SafetyReport) -> str:
   motion does; the count of motions that were delta-safe as a whole stands beside it.
 * The tracking error is e_pos + rho_max e_rotation of the tool, held against gamma(v) at the reference speed v, read at
   no less than {speed}: the paper's line is 0 at rest, where no controller with friction can be.
-* Distances and contacts are to the scene's *true* hand mesh, which neither the ensemble nor the planner has seen.
+* Distances and contacts are to the scene's *true* hand mesh, which neither the ensemble nor the planner has seen. They
+  include the way straight down onto the start and up from the goal.
+* That way is not planned, and not part of the delta-safe poses: high above start and goal the tool leaves what the
+  camera sees, and there the field calls everything occupied{_approach(report)}.
 * The hand holds still: this is no speed-and-separation monitoring."""
+
+
+def _approach(report: SafetyReport) -> str:
+    shares = [v.approach_delta_safe_share for v in report.verdicts if v.approach_delta_safe_share is not None]
+    return f" ({min(shares):.0%} to {max(shares):.0%} of its poses are delta-safe all the same)" if shares else ""
 
 
 def _mm(length_m: float | None) -> str:

@@ -50,6 +50,7 @@ class SafetyReport:
         found: dict[str, float] = {
             "scenes": len(self.scenes),
             "scenes_executed": len(verdicts),
+            "scenes_completed": sum(verdict.completed for verdict in verdicts),
             "scenes_safe": sum(verdict.safe for verdict in verdicts),
             "contacts": sum(verdict.contacts for verdict in verdicts),
         }
@@ -60,7 +61,10 @@ class SafetyReport:
             arm = [v.min_arm_to_hand_m for v in verdicts if v.min_arm_to_hand_m is not None]
             found |= {
                 "delta_safe_pose_share": safe / poses,
-                "motions_wholly_delta_safe": sum(verdict.whole_motion_delta_safe for verdict in verdicts),
+                "motions_wholly_delta_safe": sum(
+                    verdict.whole_motion_delta_safe and verdict.completed for verdict in verdicts
+                ),
+                "tracking_share_within_bound": sum(v.share_within_bound * v.poses for v in verdicts) / poses,
                 "max_tracking_error_m": max(verdict.max_error_m for verdict in verdicts),
                 "max_tracking_excess_m": max(verdict.max_excess_m for verdict in verdicts),
                 **({"min_tool_to_hand_m": min(tool)} if tool else {}),

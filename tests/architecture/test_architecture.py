@@ -2,6 +2,7 @@
 
 import ast
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -70,3 +71,11 @@ def test_nothing_unpickles():
         assert "allow_pickle=True" not in text, path
         assert "pickle.load" not in text, path
         assert text.count("torch.load(") == text.count("weights_only=True"), path
+
+
+@pytest.mark.parametrize("path", [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")], ids=lambda path: path.name)
+def test_documents_are_finished_and_their_links_lead_somewhere(path):
+    text = path.read_text(encoding="utf-8")
+    assert "@@" not in text
+    for link in re.findall(r"\]\(([^)#:]+)\)", text):
+        assert (path.parent / link).exists(), link

@@ -139,3 +139,33 @@ def test_the_paper_preset_is_the_papers():
     assert (paper.augmentation.width, paper.augmentation.height) == (384, 288)
     assert (paper.motion.n_iterations, paper.motion.n_samples, paper.motion.delta) == (2000, 100, 0.05)
     assert (paper.motion.v_min_mps, paper.motion.v_max_mps) == (0.01, 0.2)
+
+
+FINE = {
+    "contacts": 0,
+    "scenes": 3,
+    "scenes_executed": 2,
+    "scenes_safe": 2,
+    "max_tracking_excess_m": -1e-4,
+    "tracking_share_within_bound": 1.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "safe", "tracked"),
+    [
+        ({}, True, True),
+        ({"contacts": 1}, False, True),
+        ({"scenes_safe": 1}, False, True),
+        ({"scenes_executed": 0, "scenes_safe": 0}, False, True),
+        ({"max_tracking_excess_m": 1e-6}, True, False),
+    ],
+    ids=str,
+)
+def test_the_last_checks_fail_for_what_they_are_about(tmp_path, change, safe, tracked):
+    from assets.checks import executions_were_safe, tracking_kept_its_bound
+    from deltasafe.storage import write_json
+
+    write_json(tmp_path / "report.json", {"figures": {**FINE, **change}})
+    assert executions_were_safe(tmp_path).passed == safe
+    assert tracking_kept_its_bound(tmp_path).passed == tracked

@@ -76,3 +76,25 @@ def test_what_was_never_made_or_was_removed_is_named(home):
     (home / "store" / "one").rmdir()
     with pytest.raises(DataError, match="materialise made again"):
         pointers.folder(dg.AssetKey("made"))
+
+
+def test_a_run_sees_its_own_folders_whatever_another_run_makes_meanwhile(home):
+    read = []
+
+    @dg.asset
+    def made():
+        folder = home / "store" / "mine"
+        folder.mkdir(parents=True)
+        return folder
+
+    @dg.asset(deps=[made])
+    def meanwhile():
+        materialise(home, [maker(home, "of another run")])
+
+    @dg.asset(deps=[meanwhile])
+    def used(made):
+        read.append(made.name)
+
+    assert materialise(home, [made, meanwhile, used]).success
+    assert read == ["mine"]
+    assert FolderPointers(home=str(home)).folder(dg.AssetKey("made")).name == "of another run"

@@ -234,3 +234,18 @@ def test_an_image_in_both_sets_is_found_under_another_name(folder: pathlib.Path,
     with pytest.raises(DataError, match=r"same pixels as .*b\.png") as caught:
         check_disjoint(HandSet.load(folder), HandSet.load(tmp_path / "test"))
     assert caught.value.path.name == "renamed.png"
+
+
+def test_a_picture_that_asks_to_be_turned_is_refused(folder: pathlib.Path) -> None:
+    """Viewers and labelling tools turn it, decoders of raw pixels do not: the mask would be that of another picture."""
+    from PIL import Image
+
+    path = folder / "images" / "a.jpg"
+    with Image.open(folder / "images" / "a.png") as opened:
+        exif = opened.getexif()
+        exif[0x0112] = 3
+        opened.save(path, exif=exif)
+    (folder / "images" / "a.png").unlink()
+    with pytest.raises(DataError, match="EXIF orientation 3") as raised:
+        HandSet.load(folder)
+    assert raised.value.path == path

@@ -1,5 +1,7 @@
 import dataclasses
 import math
+import os
+import pathlib
 
 import numpy as np
 import pytest
@@ -159,3 +161,56 @@ def test_settings_outside_their_domain_are_refused(wrong):
     (name,) = wrong
     with pytest.raises(SettingsError, match=name):
         TrainingSettings(**wrong)
+
+
+def test_members_of_different_settings_are_not_judged_as_one_ensemble(data, uninterrupted, tmp_path):
+    from deltasafe.perception.calibration_report import CalibrationSettings
+    from deltasafe.perception.ensemble_evaluation import evaluate_members
+    from deltasafe.perception.hands import HandSet
+    from deltasafe.perception.settings import InferenceSettings
+
+    other = train_member(data, dataclasses.replace(SMALL, epochs=1), 8, tmp_path / "other", "cpu")
+    with pytest.raises(SettingsError, match="different settings"):
+        evaluate_members(
+            [uninterrupted, other],
+            HandSet("none", (), (), ""),
+            tmp_path / "report",
+            inference=InferenceSettings(),
+            settings=CalibrationSettings(),
+            planning_delta=0.05,
+        )
+    assert not (tmp_path / "report").exists()
+
+
+def test_members_side_by_side_are_those_trained_alone(data, tmp_path):
+    """Two processes against this one; one thread each, so that sums are taken in the same order."""
+    from deltasafe.perception.augmentation.settings import AugmentationSettings
+    from deltasafe.perception.augmented_set import write_augmented_set
+    from deltasafe.perception.ensemble_training import MemberJob, train_members
+    from deltasafe.perception.hands import HandSet
+
+    hands = HandSet.load(pathlib.Path(__file__).parents[3] / "datasets" / "hands" / "train")
+    few = dataclasses.replace(hands, items=hands.items[:4], pixel_digests=hands.pixel_digests[:4])
+    stored = write_augmented_set(
+        few, None, AugmentationSettings(n_variants=2, width=64, height=48), tmp_path / "set", workers=1
+    )
+    settings = dataclasses.replace(SMALL, epochs=1)
+    jobs = [MemberJob(f"member_{seed}", seed, tmp_path / f"side-{seed}") for seed in range(2)]
+    heard = set()
+    together = train_members(
+        jobs,
+        tmp_path / "set",
+        settings,
+        device="cpu",
+        workers=2,
+        on_step=lambda name, step: heard.add((name, step.step)),
+    )
+    assert heard == {(f"member_{seed}", step) for seed in range(2) for step in (1, 2)}
+    cores = torch.get_num_threads()
+    torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
+    try:
+        alone = train_member(stored, settings, 1, tmp_path / "alone", "cpu")
+    finally:
+        torch.set_num_threads(cores)
+    assert together["member_1"].losses == alone.losses
+    assert together["member_0"].losses != alone.losses

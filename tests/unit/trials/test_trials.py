@@ -58,7 +58,7 @@ def chain(tmp_path_factory):
     scenes = select_scenes(source, 0, root / "scenes")
     write_fields(Oracle(scenes), scenes, root / "fields", FieldSettings())
     motions = plan_scenes(scenes, root / "fields", root / "motions", MotionSettings(cost="area"), CALIBRATION, 0)
-    outcomes = execute_scenes(scenes, root / "motions", root / "executions", ExecutionSettings(), 0)
+    outcomes = execute_scenes(scenes, root / "fields", root / "motions", root / "executions", ExecutionSettings(), 0)
     report = write_safety_report(
         scenes, root / "fields", root / "motions", root / "executions", root / "report", n_films=1
     )
@@ -163,3 +163,35 @@ def test_an_image_of_another_size_than_its_camera_is_refused(tmp_path):
     with pytest.raises(DataError, match="its camera has 320 x 480"):
         write_fields(Oracle([scene]), [wrong], tmp_path / "fields", FieldSettings())
     assert not (tmp_path / "fields").exists()
+
+
+def test_a_scene_may_not_name_a_folder_outside_of_its_own(tmp_path):
+    shutil.copytree(SCENES / "scene_000", tmp_path / "scene_000")
+    path = tmp_path / "scene_000" / "scene.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"id": "../elsewhere"}))
+    with pytest.raises(DataError, match="without slashes"):
+        load_scenes(tmp_path)
+
+
+def test_the_arm_stands_beside_a_table_of_any_height():
+    """The same motion above a table one metre up: the same errors to the bit of the integrator."""
+    from deltasafe.execution.simulate import execute, iiwa_for
+
+    share = np.linspace(0, 1, 601)
+    smooth = 10 * share**3 - 15 * share**4 + 6 * share**5
+    poses = np.zeros((601, 4))
+    poses[:, 0], poses[:, 2] = -0.1 + 0.1 * smooth, 0.1
+    time_s = share * 2.0
+    mesh = (np.array([[0.3, 0.3, 0.0], [0.31, 0.3, 0.0], [0.3, 0.31, 0.0]]), np.array([[0, 1, 2]]))
+    errors = []
+    for table_z_m in (0.0, 1.0):
+        lift = np.array([0, 0, table_z_m, 0])
+        trajectory = Trajectory(time_s, poses + lift, np.gradient(poses, time_s, axis=0))
+        lifted = (mesh[0] + lift[:3], mesh[1])
+        body = ToolBody()
+        make_arm = iiwa_for(body, lifted, table_z_m)
+        run = execute(trajectory, lifted, body, ExecutionSettings(), 3, make_arm=make_arm)
+        assert run.completed
+        assert run.contacts.sum() == 0
+        errors.append(run.workspace_error_m.max())
+    assert errors[0] == pytest.approx(errors[1], rel=1e-3)
