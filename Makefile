@@ -23,7 +23,7 @@ record: $(STAMP)
 	$(BIN)/python -m pipelines.demo --record docs/results/$(PRESET).json
 
 test: $(STAMP) check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(STAMP)
 	$(BIN)/ruff check .

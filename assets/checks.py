@@ -91,6 +91,23 @@ def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResu
 
 
 @dg.asset_check(
+    asset="occupancy_fields",
+    additional_ins={"logged_scenes": dg.AssetIn("logged_scenes")},
+    description="In no scene would the planner take more than 5 % of the true hand for free.",
+)
+def true_hands_are_seen(occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path) -> dg.AssetCheckResult:
+    from deltasafe.trials.fields import missed_hand
+    from deltasafe.trials.selection import load_selection
+
+    missed = missed_hand(load_selection(logged_scenes), occupancy_fields, PRESET.motion.delta)
+    return dg.AssetCheckResult(
+        passed=max(missed.values()) <= 0.05,
+        severity=dg.AssetCheckSeverity.WARN,
+        metadata={"share of the hand taken for free, by scene": missed},
+    )
+
+
+@dg.asset_check(
     asset="planned_motions",
     additional_ins={
         "occupancy_fields": dg.AssetIn("occupancy_fields"),
@@ -109,6 +126,19 @@ def audit_finds_no_unsafe_point(
     unsafe = {name: result.unsafe_poses for name, result in audited.items() if result.unsafe_poses}
     poses = sum(result.poses for result in audited.values())
     return dg.AssetCheckResult(passed=not unsafe, metadata={"poses": poses, "unsafe poses by scene": unsafe})
+
+
+@dg.asset_check(
+    asset="executed_motions",
+    blocking=True,
+    description="Every scene has an outcome, and every recording is complete and unaltered.",
+)
+def recordings_are_intact(executed_motions: pathlib.Path) -> dg.AssetCheckResult:
+    from deltasafe.trials.executions import load_execution, load_outcomes
+
+    outcomes = load_outcomes(executed_motions)
+    samples = {o.scene_id: len(load_execution(executed_motions, o.scene_id).time_s) for o in outcomes if o.executed}
+    return dg.AssetCheckResult(passed=bool(outcomes), metadata={"scenes": len(outcomes), "samples": samples})
 
 
 @dg.asset_check(

@@ -4,6 +4,7 @@ import pathlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +17,7 @@ from deltasafe.storage import atomic_folder
 if TYPE_CHECKING:
     from deltasafe.perception.ensemble import Ensemble
 
-__all__ = ["load_field", "load_p_occupied", "write_fields"]
+__all__ = ["load_field", "load_p_occupied", "missed_hand", "write_fields"]
 
 
 def write_fields(
@@ -69,3 +70,20 @@ def load_p_occupied(folder: str | pathlib.Path, scene_id: str) -> NDArray[np.flo
     except (OSError, ValueError) as error:
         raise DataError(file, f"is not readable ({error}); make the occupancy fields again") from error
     return stored
+
+
+def missed_hand(scenes: Sequence[LoggedScene], folder: str | pathlib.Path, delta: float) -> dict[str, float]:
+    """Share of each scene's true hand that a planner would take for free (p_occupied <= delta), by scene.
+
+    For judging alone: the true mask is what neither the ensemble nor the planner has.
+
+    Raises:
+        DataError: a mask is unreadable, or shows no hand.
+    """
+    shares = {}
+    for scene in scenes:
+        mask = cv2.imdecode(np.fromfile(scene.mask_path, np.uint8), cv2.IMREAD_GRAYSCALE)
+        if mask is None or not mask.any():
+            raise DataError(scene.mask_path, "is no mask of a hand (255 = hand); restore it")
+        shares[scene.id] = float((load_p_occupied(folder, scene.id)[mask > 0] <= delta).mean())
+    return shares

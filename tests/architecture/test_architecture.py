@@ -1,6 +1,7 @@
 """Rules that no single module can show: who may import whom, how long a module is, what an import costs."""
 
 import ast
+import json
 import pathlib
 import re
 import subprocess
@@ -79,3 +80,19 @@ def test_documents_are_finished_and_their_links_lead_somewhere(path):
     assert "@@" not in text
     for link in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (path.parent / link).exists(), link
+
+
+def test_the_readme_shows_the_recorded_figures():
+    figures = json.loads((ROOT / "docs" / "results" / "default.json").read_text())["figures"]
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = [
+        f"**{figures['minutes_total']:.1f} minutes**",
+        f"| pixel accuracy | {100 * figures['pa']:.1f} % |",
+        f"| mIoU | {100 * figures['miou']:.1f} % |",
+        f"| NLL (nats) | {figures['nll']:.4f} |",
+        f"| Brier score | {figures['bs']:.4f} |",
+        f"| {figures['scenes_executed']:.0f} / {figures['scenes_safe']:.0f} of {figures['scenes']:.0f} |",
+        f"| contacts with hand or table | {figures['contacts']:.0f} |",
+        f"| smallest distance of the tool to the true hand | {1000 * figures['min_tool_to_hand_m']:.1f} mm |",
+    ]
+    assert [line for line in shown if line not in text] == []

@@ -16,7 +16,7 @@ from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.scene import FieldSettings, OccupancyGrid, load_scenes
 from deltasafe.trials.audit import audit_trajectory
 from deltasafe.trials.executions import execute_scenes, load_outcomes
-from deltasafe.trials.fields import load_field, load_p_occupied, write_fields
+from deltasafe.trials.fields import load_field, load_p_occupied, missed_hand, write_fields
 from deltasafe.trials.motions import load_motion, plan_scenes
 from deltasafe.trials.safety_writing import write_safety_report
 from deltasafe.trials.selection import load_selection, select_scenes
@@ -95,6 +95,19 @@ def test_the_report_is_complete_on_disk(chain):
     assert "1 of 2 scenes were executed" in text
     stored = json.loads((root / "report" / "report.json").read_text())
     assert stored["figures"] == pytest.approx(report.figures())
+
+
+def test_the_share_of_the_hand_that_is_missed_is_counted_pixel_by_pixel(chain):
+    import cv2
+
+    scenes, root = chain[0], chain[1]
+    mask = cv2.imread(str(scenes[0].mask_path), cv2.IMREAD_GRAYSCALE) > 0
+    p_occupied = load_p_occupied(root / "fields", scenes[0].id)
+    assert missed_hand(scenes[:1], root / "fields", 0.05) == {"scene_000": 0.0}
+    share = missed_hand(scenes[:1], root / "fields", 0.9)["scene_000"]
+    rows, columns = np.nonzero(mask)
+    assert share == sum(p_occupied[r, c] <= 0.9 for r, c in zip(rows, columns, strict=True)) / len(rows)
+    assert 0 < share < 1
 
 
 def test_the_audit_agrees_with_the_plan_and_finds_what_is_unsafe(chain):
