@@ -169,3 +169,17 @@ def test_the_last_checks_fail_for_what_they_are_about(tmp_path, change, safe, tr
     write_json(tmp_path / "report.json", {"figures": {**FINE, **change}})
     assert executions_were_safe(tmp_path).passed == safe
     assert tracking_kept_its_bound(tmp_path).passed == tracked
+
+
+def test_a_member_that_did_not_learn_is_found(tmp_path):
+    from torch import nn
+
+    from assets.checks import every_member_learned
+    from deltasafe.perception.member import Member
+
+    falling = [1.0 - 0.009 * step for step in range(100)]
+    for name, losses in {"good": falling, "bad": [0.7] * 100}.items():
+        Member.write(tmp_path / name, nn.Linear(2, 1), {"losses": losses})
+    good, bad = tmp_path / "good", tmp_path / "bad"
+    assert every_member_learned(tmp_path, {"member_00": good}).passed
+    assert not every_member_learned(tmp_path, {"member_00": good, "member_01": bad}).passed
