@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from deltasafe.presets import VARIABLE
-from deltasafe.storage import write_json
+from deltasafe.storage import read_json, write_json
 from pipelines.home import PROJECT, prepare_home
 from pipelines.pictures import record_pictures
 
@@ -54,7 +54,7 @@ def main() -> int:
         "figures": figures,
         "command": command,
         "commit": _commit(),
-        "seeds": {"augmentation": 0, "members_from": 0, "planning_from": 0, "execution_from": 0},
+        "seeds": _seeds(root),
         "machine": _machine(),
     }
     write_json(root / "results.json", record)
@@ -76,6 +76,26 @@ def _figures(root: pathlib.Path) -> dict[str, float]:
     calibration, safety = _reports(root)
     figures = {**CalibrationReport.load(calibration).figures(), **read_figures(safety)}
     return {name: round(value, 6) for name, value in figures.items()}
+
+
+def _seeds(root: pathlib.Path) -> dict[str, int]:
+    """As they stand in what was made; members and scenes count up from theirs."""
+    from deltasafe.perception.augmented_set import AugmentedSet
+    from deltasafe.trials.executions import load_execution, load_outcomes
+    from deltasafe.trials.motions import load_motion
+
+    executions = _folder(root, "executed_motions")
+    outcomes = load_outcomes(executions)
+    executed = [index for index, outcome in enumerate(outcomes) if outcome.executed]
+    seeds = {
+        "augmentation": AugmentedSet.load(_folder(root, "augmented_hands")).settings.seed,
+        "members_from": min(read_json(_folder(root, "frozen_ensemble") / "manifest.json")["seeds"]),
+        "planning_from": load_motion(_folder(root, "planned_motions"), outcomes[0].scene_id).seed,
+    }
+    if executed:
+        first = executed[0]
+        seeds["execution_from"] = load_execution(executions, outcomes[first].scene_id).seed - first
+    return seeds
 
 
 def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
