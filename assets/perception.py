@@ -53,24 +53,24 @@ class ReportConfig(dg.Config):
     device: str = "auto"
 
 
+def _checked(config: HandsConfig, store: Store, packaged: str) -> dg.Output[pathlib.Path]:
+    from deltasafe.perception.hands import HandSet
+
+    folder, registry = store.dataset(config.folder, packaged)
+    hands = HandSet.load(folder, registry)
+    return dg.Output(folder, metadata={"images": len(hands), "digest": hands.digest, "folder": str(folder)})
+
+
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
 def raw_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
     """The labelled training images: few, and of low variety. Checked file by file before anything uses them."""
-    from deltasafe.perception.hands import HandSet
-
-    folder, registry = store.dataset(config.folder, "hands/train")
-    hands = HandSet.load(folder, registry)
-    return dg.Output(folder, metadata={"images": len(hands), "digest": hands.digest, "folder": str(folder)})
+    return _checked(config, store, "hands/train")
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
 def test_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
     """Labelled images of high variety. They enter at the calibration report and nowhere before."""
-    from deltasafe.perception.hands import HandSet
-
-    folder, registry = store.dataset(config.folder, "hands/test")
-    hands = HandSet.load(folder, registry)
-    return dg.Output(folder, metadata={"images": len(hands), "digest": hands.digest, "folder": str(folder)})
+    return _checked(config, store, "hands/test")
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numpy", "image"}, code_version="1")

@@ -1,7 +1,6 @@
 """What an arm can do, in a handful of verbs, and an arm in memory for tests of whoever drives one."""
 
 import dataclasses
-import types
 from typing import Protocol, Self
 
 import numpy as np
@@ -58,12 +57,7 @@ class Arm(Protocol):
 
     def __enter__(self) -> Self: ...
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: types.TracebackType | None,
-    ) -> None: ...
+    def __exit__(self, *exception: object) -> None: ...
 
     def inverse(self, poses: Array) -> Array:
         """Joint positions (N, n), continuous along tool poses (N, 4); raises PlanningError if impossible."""
@@ -99,12 +93,7 @@ class FloatingTool:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: types.TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         return None
 
     def inverse(self, poses: Array) -> Array:

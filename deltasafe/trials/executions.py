@@ -82,17 +82,18 @@ def _execute(job: _Job) -> Outcome:
     motion = load_motion(job.motions, scene.id)
     if motion.trajectory is None:
         return Outcome(scene.id, False, motion.reason)
+    mesh = scene.true_mesh()
     top_z_m = float(load_field(job.fields, scene.id).upper_m[2])
     try:
         execution = execute(
             motion.trajectory,
-            scene.true_mesh(),
+            mesh,
             motion.body,
             job.settings,
             job.seed,
             bound=motion.tracking,
             unsafe_below_m=top_z_m + float(motion.tracking.error_m(motion.settings.v_max_mps)),
-            make_arm=iiwa_for(motion.body, scene.true_mesh(), scene.table_z_m),
+            make_arm=iiwa_for(motion.body, mesh, scene.table_z_m),
         )
     except PlanningError as error:
         return Outcome(scene.id, False, str(error))

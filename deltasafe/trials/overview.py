@@ -2,9 +2,11 @@
 
 import pathlib
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
 from deltasafe.figures.occupancy import occupancy_overlay
@@ -32,14 +34,7 @@ def overview(
         cv2.putText(tile, scene.id, (8, 230), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
         cv2.putText(tile, scene.id, (8, 230), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
         tiles.append(tile)
-    columns = min(columns, len(tiles))
-    rows = -(-len(tiles) // columns)
-    sheet = np.zeros((rows * 240, columns * 320, 3), np.uint8)
-    for index, tile in enumerate(tiles):
-        row, column = divmod(index, columns)
-        sheet[row * 240 :][:240, column * 320 :][:, :320] = tile
-    with atomic_file(destination) as temporary:
-        temporary.write_bytes(cv2.imencode(".jpg", sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
+    _write_sheet(tiles, columns, destination, ground=0, quality=85)
     return destination
 
 
@@ -52,11 +47,18 @@ def tile_pictures(pictures: Sequence[pathlib.Path], destination: pathlib.Path, c
             raise DataError(path, "is not a picture; make it again")
         height = round(640 * picture.shape[0] / picture.shape[1])
         tiles.append(cv2.resize(picture, (640, height), interpolation=cv2.INTER_AREA))
-    height = max(len(tile) for tile in tiles)
+    _write_sheet(tiles, columns, destination, ground=255, quality=80)
+
+
+def _write_sheet(
+    tiles: Sequence[NDArray[Any]], columns: int, destination: pathlib.Path, *, ground: int, quality: int
+) -> None:
+    """Tiles (H, W, 3) of one width, row by row, on a ground of one grey."""
+    height, width = max(len(tile) for tile in tiles), tiles[0].shape[1]
     columns = min(columns, len(tiles))
-    sheet = np.full((-(-len(tiles) // columns) * height, columns * 640, 3), 255, np.uint8)
+    sheet = np.full((-(-len(tiles) // columns) * height, columns * width, 3), ground, np.uint8)
     for index, tile in enumerate(tiles):
         row, column = divmod(index, columns)
-        sheet[row * height :][: len(tile), column * 640 :][:, :640] = tile
+        sheet[row * height :][: len(tile), column * width :][:, :width] = tile
     with atomic_file(destination) as temporary:
-        temporary.write_bytes(cv2.imencode(".jpg", sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes())
+        temporary.write_bytes(cv2.imencode(".jpg", sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
