@@ -1,4 +1,4 @@
-"""Reliability as in the paper's Fig. 4, the diagram that matters to safety, and the gain by ensemble size."""
+"""Reliability as in the paper's Fig. 4 and the diagram that matters to safety."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter
 
 from deltasafe.perception.calibration_report import CalibrationReport
-from deltasafe.perception.paper_results import ENSEMBLE_SIZE_RESULTS
 from deltasafe.perception.reliability import CONFIDENCE_EDGES, DELTA_GRID, Curve
 
-__all__ = ["ensemble_size_figure", "reliability_figure"]
+__all__ = ["reliability_figure"]
 
 _GREY = "#9a9a9a"
 _BLUE = "#0072B2"
@@ -34,42 +33,12 @@ def reliability_figure(report: CalibrationReport) -> Figure:
     bottom_right = figure.add_subplot(grid[1, 1], sharex=top_right)
     _draw_confidence(top_left, report)
     edges = np.array(CONFIDENCE_EDGES)
-    _draw_counts(bottom_left, edges, report.reliability.count, "Confidence")
+    _draw_counts(bottom_left, edges, report.ensembles[-1].reliability.count, "Confidence")
     _draw_safety(top_right, report)
     edges = np.array([_SMALLEST_P, *DELTA_GRID, 1.0])
     _draw_counts(bottom_right, edges, report.safety.count, "$p_\\mathrm{occupied}$  $(= 1 - p_\\mathrm{free})$")
     for axes in (top_left, top_right):
         axes.tick_params(labelbottom=False)
-    return figure
-
-
-def ensemble_size_figure(report: CalibrationReport) -> Figure:
-    """BS and NLL of the mean of the first M members, beside the paper's Table III."""
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
-    sizes = np.arange(1, report.n_members + 1)
-    paper = [m for m in ENSEMBLE_SIZE_RESULTS if m <= max(report.n_members, 2)]
-    for column, (name, label) in enumerate((("brier", "Brier score"), ("nll", "NLL [nats]"))):
-        axes = figure.add_subplot(1, 2, column + 1)
-        values = [getattr(ensemble.scores, name) for ensemble in report.ensembles]
-        members = [getattr(member.scores, name) for member in report.members]
-        axes.plot(np.ones(len(members)), members, "o", color=_GREY, alpha=0.7, ms=5, label="each member alone")
-        axes.plot(sizes, values, "o-", color=_BLUE, label="mean of the first $M$ members")
-        low, high = getattr(report.low, name), getattr(report.high, name)
-        axes.plot([sizes[-1]] * 2, [low, high], "_-", color=_BLUE, alpha=0.6, ms=10, lw=1.2)
-        axes.plot(
-            paper,
-            [ENSEMBLE_SIZE_RESULTS[m][column] for m in paper],
-            "s--",
-            color="black",
-            ms=3,
-            lw=0.9,
-            label="paper, Table III",
-        )
-        axes.set(xlabel="Ensemble size $M$", ylabel=label)
-        axes.set_ylim(bottom=0)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        _clean(axes)
-        axes.legend(frameon=False, fontsize=9)
     return figure
 
 
@@ -81,7 +50,7 @@ def _draw_confidence(axes: Axes, report: CalibrationReport) -> None:
         if 1 < m < report.n_members:
             curve = report.ensembles[m - 1].reliability
             _line(axes, curve, color=_SIZE_COLOURS[m], lw=1.6, label=f"$M = {m}$", zorder=3)
-    final = report.reliability
+    final = report.ensembles[-1].reliability
     colour = _SIZE_COLOURS.get(report.n_members, _BLUE)
     _line(axes, final, color=colour, lw=2.2, marker="o", ms=4, label=f"$M = {report.n_members}$", zorder=4)
     _band(axes, final, colour)

@@ -21,7 +21,7 @@ __all__ = [
     "gate",
 ]
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,12 +54,17 @@ class Predictor:
     """One member, or the mean of the first M members, over all images.
 
     Attributes:
-        scores: PA, mIoU, BS, NLL.
+        images: (N,) scores per image.
+        scores: PA, mIoU, BS, NLL over all images.
+        low, high: their intervals, by bootstrap over images.
         expected_calibration_error: over ten bins on [0.5, 1].
-        reliability: the paper's diagram.
+        reliability: the paper's diagram, with intervals.
     """
 
+    images: tuple[ImageScores, ...]
     scores: Scores
+    low: Scores
+    high: Scores
     expected_calibration_error: float
     reliability: Curve
 
@@ -90,12 +95,9 @@ class CalibrationReport:
     Attributes:
         settings: how it was computed.
         image_ids: (N,) names of the images.
-        images: (N,) scores of the whole ensemble per image.
         members: (M,) each member alone.
         member_mean: mean and standard deviation over members.
         ensembles: (M,) mean of the first 1, 2, .., M members.
-        low, high: interval of the whole ensemble's scores, by bootstrap over images.
-        reliability: of the whole ensemble, with intervals.
         safety: how often a pixel is occupied per bin of p_occupied (bounds in ``DELTA_GRID``), with
             intervals.
         support: what the data says about each delta.
@@ -105,17 +107,18 @@ class CalibrationReport:
 
     settings: CalibrationSettings
     image_ids: tuple[str, ...]
-    images: tuple[ImageScores, ...]
     members: tuple[Predictor, ...]
     member_mean: MeanAndSd
     ensembles: tuple[Predictor, ...]
-    low: Scores
-    high: Scores
-    reliability: Curve
     safety: Curve
     support: tuple[DeltaSupport, ...]
     recalibration: RecalibrationResult | None
     format_version: int = FORMAT_VERSION
+
+    @property
+    def images(self) -> tuple[ImageScores, ...]:
+        """(N,) scores of the whole ensemble per image."""
+        return self.ensembles[-1].images
 
     @property
     def n_members(self) -> int:

@@ -54,7 +54,8 @@ def write_calibration_report(
         SettingsError: labels and predictions that do not belong to the report.
     """
     from deltasafe.figures.overlays import Overlay, overlay_figure
-    from deltasafe.figures.reliability import ensemble_size_figure, reliability_figure
+    from deltasafe.figures.ensemble_size import ensemble_size_figure
+    from deltasafe.figures.reliability import reliability_figure
 
     if not len(labels) == len(predictions) == len(report.image_ids):
         raise SettingsError(
@@ -169,7 +170,7 @@ def _glance(report: CalibrationReport) -> str:
         (
             title,
             f"**{getattr(final.scores, name):.4f}**",
-            f"{getattr(report.low, name):.4f} to {getattr(report.high, name):.4f}",
+            f"{getattr(final.low, name):.4f} to {getattr(final.high, name):.4f}",
             _plus_minus(getattr(mean.mean, name), None if mean.sd is None else getattr(mean.sd, name)),
             paper[name],
             meaning,

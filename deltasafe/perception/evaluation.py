@@ -20,8 +20,9 @@ from deltasafe.perception.calibration_report import (
 )
 from deltasafe.perception.metrics import (
     ImageScores,
-    Scores,
+    bootstrap_scores,
     mean_and_sd,
+    percentile_interval,
     pool_scores,
     require_label,
     require_p_occupied,
@@ -97,22 +98,17 @@ def calibrate(
         progress(index + 1, passes * n_images, f"judged {image_id}")
 
     weights = bootstrap_weights(n_images, settings.n_bootstrap, settings.seed)
-    low, high = _interval(ensembles[-1].scores, weights, settings.level)
     safety_all = stack_counts(safety)
-    member_results = tuple(member.result() for member in members)
+    member_results = tuple(member.result(weights, settings.level) for member in members)
     recalibration = None
     if n_images > 1:
-        recalibration = _recalibrated(labels, predictions, stack_logit_counts(logits), settings, progress)
+        recalibration = _recalibrated(labels, predictions, stack_logit_counts(logits), weights, settings, progress)
     return CalibrationReport(
         settings=settings,
         image_ids=tuple(image_ids),
-        images=tuple(ensembles[-1].scores),
         members=member_results,
         member_mean=mean_and_sd([member.scores for member in member_results]),
-        ensembles=tuple(ensemble.result() for ensemble in ensembles),
-        low=low,
-        high=high,
-        reliability=curve(stack_counts(ensembles[-1].confidence), weights, settings.level),
+        ensembles=tuple(ensemble.result(weights, settings.level) for ensemble in ensembles),
         safety=curve(safety_all, weights, settings.level),
         support=_support(safety_all, settings),
         recalibration=recalibration,
@@ -130,9 +126,17 @@ class _Tally:
         self.scores.append(score_image(p_occupied, label))
         self.confidence.append(confidence_counts(p_occupied, label))
 
-    def result(self) -> Predictor:
+    def result(self, weights: NDArray[np.int64], level: float) -> Predictor:
         counts = stack_counts(self.confidence)
-        return Predictor(pool_scores(self.scores), expected_calibration_error(counts), curve(counts))
+        low, high = percentile_interval(bootstrap_scores(self.scores, weights), level)
+        return Predictor(
+            images=tuple(self.scores),
+            scores=pool_scores(self.scores),
+            low=low,
+            high=high,
+            expected_calibration_error=expected_calibration_error(counts),
+            reliability=curve(counts, weights, level),
+        )
 
 
 def _checked(
@@ -155,6 +159,7 @@ def _recalibrated(
     labels: Sequence[NDArray[np.generic]],
     predictions: Sequence[NDArray[np.floating]],
     counts: LogitCounts,
+    weights: NDArray[np.int64],
     settings: CalibrationSettings,
     progress: Progress,
 ) -> RecalibrationResult:
@@ -168,7 +173,7 @@ def _recalibrated(
         tally.add(p_occupied, occupied)
         safety.append(safety_counts(p_occupied, occupied))
         progress(n_images + index + 1, 2 * n_images, f"recalibrated image {index + 1} of {n_images}")
-    result = tally.result()
+    result = tally.result(weights, settings.level)
     return RecalibrationResult(
         temperature=fit_temperature(counts),
         lowest=float(unseen.min()),
@@ -181,9 +186,3 @@ def _recalibrated(
 
 def _support(counts: BinCounts, settings: CalibrationSettings) -> tuple[DeltaSupport, ...]:
     return delta_support(counts, n_bootstrap=settings.n_bootstrap, level=settings.level, seed=settings.seed)
-
-
-def _interval(images: Sequence[ImageScores], weights: NDArray[np.int64], level: float) -> tuple[Scores, Scores]:
-    drawn = np.array([dataclasses.astuple(pool_scores(images, row)) for row in weights.tolist()])
-    low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2], axis=0)
-    return Scores(*low.tolist()), Scores(*high.tolist())

@@ -28,7 +28,9 @@ __all__ = [
     "ImageScores",
     "MeanAndSd",
     "Scores",
+    "bootstrap_scores",
     "mean_and_sd",
+    "percentile_interval",
     "pool_scores",
     "require_label",
     "require_p_occupied",
@@ -157,16 +159,35 @@ def pool_scores(images: Sequence[ImageScores], weights: Sequence[float] | None =
         images: scores of N >= 1 images.
         weights: (N,) how often each image counts (the multiplicities of a bootstrap sample); once by default.
     """
+    weight = np.ones(len(images)) if weights is None else np.asarray(weights, dtype=np.float64)
+    return Scores(*bootstrap_scores(images, weight[None])[0].tolist())
+
+
+def bootstrap_scores(images: Sequence[ImageScores], weights: NDArray[np.number]) -> NDArray[np.float64]:
+    """(R, 4) PA, mIoU, BS and NLL, as `pool_scores`, of R bootstrap samples of the images.
+
+    The rows of two predictors on the same images and weights are paired: their difference is the sample of the
+    difference.
+
+    Args:
+        images: scores of N >= 1 images.
+        weights: (R, N) how often each image occurs in each sample.
+    """
     if not images:
         raise SettingsError("scores need at least one image")
-    weight = np.ones(len(images)) if weights is None else np.asarray(weights, dtype=np.float64)
-    pixels = weight * [image.n_pixels for image in images]
-    return Scores(
-        pixel_accuracy=float(weight @ [image.pixel_accuracy for image in images] / weight.sum()),
-        miou=float(weight @ [image.miou for image in images] / weight.sum()),
-        brier=float(pixels @ [image.brier for image in images] / pixels.sum()),
-        nll=float(pixels @ [image.nll for image in images] / pixels.sum()),
+    n_pixels, *table = np.transpose(
+        [(image.n_pixels, image.pixel_accuracy, image.miou, image.brier, image.nll) for image in images]
     )
+    each_image = weights @ np.transpose(table[:2]) / weights.sum(axis=1, keepdims=True)
+    pixels = weights * n_pixels
+    each_pixel = pixels @ np.transpose(table[2:]) / pixels.sum(axis=1, keepdims=True)
+    return np.hstack([each_image, each_pixel])
+
+
+def percentile_interval(drawn: NDArray[np.float64], level: float) -> tuple[Scores, Scores]:
+    """Two-sided percentile interval of ``drawn`` (R, 4), the rows of `bootstrap_scores`: its lower and upper ends."""
+    low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2], axis=0)
+    return Scores(*low.tolist()), Scores(*high.tolist())
 
 
 def mean_and_sd(members: Sequence[Scores]) -> MeanAndSd:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deltasafe.figures.reliability import ensemble_size_figure, reliability_figure
+from deltasafe.figures.reliability import reliability_figure
 from deltasafe.perception.calibration_report import CalibrationSettings
 from deltasafe.perception.evaluation import calibrate
 
@@ -29,7 +29,10 @@ def test_the_reliability_diagram_shows_members_ensembles_and_the_diagonal():
     confidence = next(axes for axes in figure.axes if axes.get_ylabel() == "Accuracy")
     drawn = lines(confidence)
     assert {"Ideal", "Members", "$M = 2$", "$M = 5$"} <= set(drawn)
-    np.testing.assert_allclose(drawn["$M = 5$"], np.transpose([result.reliability.stated, result.reliability.observed]))
+    np.testing.assert_allclose(
+        drawn["$M = 5$"],
+        np.transpose([result.ensembles[-1].reliability.stated, result.ensembles[-1].reliability.observed]),
+    )
     assert len(confidence.get_lines()) == 1 + 5 + 2
 
 
@@ -46,11 +49,10 @@ def test_the_safety_diagram_shows_the_share_of_occupied_pixels_and_the_bound():
 
 
 @pytest.mark.parametrize(("n_members", "sharpness"), [(1, 1.0), (2, 50.0), (11, 0.01)])
-def test_both_pictures_are_drawn_for_any_ensemble(n_members, sharpness, tmp_path):
+def test_the_picture_is_drawn_for_any_ensemble(n_members, sharpness, tmp_path):
     result = report(n_members, sharpness=sharpness)
-    for draw in (reliability_figure, ensemble_size_figure):
-        draw(result).savefig(tmp_path / "picture.png", dpi=40)
-        assert (tmp_path / "picture.png").stat().st_size > 1000
+    reliability_figure(result).savefig(tmp_path / "picture.png", dpi=40)
+    assert (tmp_path / "picture.png").stat().st_size > 1000
 
 
 def test_a_perfect_ensemble_can_be_drawn(tmp_path):
@@ -58,15 +60,4 @@ def test_a_perfect_ensemble_can_be_drawn(tmp_path):
     label[2:5] = True
     p_occupied = np.stack([label, label]).astype(np.float32)
     result = calibrate(["a", "b"], [label] * 2, [p_occupied] * 2, CalibrationSettings(n_bootstrap=100))
-    for draw in (reliability_figure, ensemble_size_figure):
-        draw(result).savefig(tmp_path / "picture.png", dpi=40)
-
-
-def test_the_gain_by_ensemble_size_is_that_of_the_report():
-    result = report(3)
-    figure = ensemble_size_figure(result)
-    for axes, name in zip(figure.axes, ("brier", "nll"), strict=True):
-        drawn = lines(axes)
-        expected = [getattr(ensemble.scores, name) for ensemble in result.ensembles]
-        np.testing.assert_allclose(drawn["mean of the first $M$ members"][:, 1], expected)
-        assert "paper, Table III" in drawn
+    reliability_figure(result).savefig(tmp_path / "picture.png", dpi=40)

@@ -115,7 +115,7 @@ def test_a_failure_leaves_the_old_report_in_place(report, folder):
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
-        ('"format_version": 1', '"format_version": 99', "format version 99"),
+        ('"format_version": 2', '"format_version": 99', "format version 99"),
         ('"n_bootstrap": 300', '"n_bootstrap": "300"', "expected int"),
         ('"n_bootstrap": 300', '"surplus": 300', "surplus"),
         ('"image_ids"', '"names"', "names"),

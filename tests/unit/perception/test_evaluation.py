@@ -55,7 +55,9 @@ def test_members_are_judged_alone_and_their_deviation_is_over_members(report):
 def test_reliability_and_support_count_all_pixels(report):
     p, y = pooled(3)
     n_pixels = sum(label.size for label in LABELS)
-    assert sum(report.reliability.count) == sum(report.safety.count) == report.n_pixels == n_pixels == p.size
+    assert (
+        sum(report.ensembles[-1].reliability.count) == sum(report.safety.count) == report.n_pixels == n_pixels == p.size
+    )
     assert report.hand_share == pytest.approx(y.mean())
     for row in report.support:
         clear = p <= row.delta
@@ -64,9 +66,14 @@ def test_reliability_and_support_count_all_pixels(report):
 
 
 def test_intervals_contain_the_estimate(report):
-    final = report.ensembles[-1].scores
-    for name in ("pixel_accuracy", "miou", "brier", "nll"):
-        assert getattr(report.low, name) < getattr(final, name) < getattr(report.high, name)
+    for predictor in (*report.members, *report.ensembles):
+        for name in ("pixel_accuracy", "miou", "brier", "nll"):
+            low, value, high = (getattr(s, name) for s in (predictor.low, predictor.scores, predictor.high))
+            assert low < value < high
+        for low, value, high in zip(
+            predictor.reliability.low, predictor.reliability.observed, predictor.reliability.high, strict=True
+        ):
+            assert low <= value <= high
 
 
 def test_recalibrated_scores_are_those_of_the_stated_temperature(report):
@@ -116,7 +123,7 @@ def test_one_image_and_one_member_are_enough_except_for_a_temperature():
     report = calibrate(NAMES[:1], LABELS[:1], [PREDICTIONS[0][:1]], FAST)
     assert report.recalibration is None
     assert report.member_mean.sd is None
-    assert report.low == report.high
+    assert report.ensembles[-1].low == report.ensembles[-1].high == report.ensembles[-1].scores
 
 
 @pytest.mark.parametrize(
