@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.augmentation import (
@@ -22,6 +23,9 @@ from deltasafe.perception.augmentation import (
     cut_out,
 )
 from deltasafe.perception.hands import HandSet
+from deltasafe.perception.schemes import SCHEMES, SchemeSettings, scheme_of
+from deltasafe.perception.schemes.making import Maker, maker_of, stored_form
+from deltasafe.perception.schemes.soft import hand_share
 from deltasafe.progress import Progress, silent
 from deltasafe.storage import atomic_folder, digest_of, read_json, write_json
 
@@ -37,9 +41,9 @@ class AugmentedSet:
     Attributes:
         folder: where it lies.
         images: ``(N, H, W, 3)`` uint8, RGB, read-only.
-        masks: ``(N, H, W)`` uint8, 1 = hand, read-only.
+        masks: ``(N, H, W)`` uint8, 1 = hand, or soft: uint16, 65535 = certainly hand; read-only.
         recipes: what was done to each image; variants of one original follow each other.
-        settings: of the augmentation.
+        settings: of the augmentation scheme.
         source_digest: of the hand set it was made from.
         background_digest: of the pictures the hands were put on; empty where there were none.
         digest: SHA-256 over all of it, pixels included.
@@ -49,7 +53,7 @@ class AugmentedSet:
     images: np.ndarray
     masks: np.ndarray
     recipes: tuple[dict[str, Any], ...]
-    settings: AugmentationSettings
+    settings: SchemeSettings
     source_digest: str
     background_digest: str
     digest: str
@@ -65,11 +69,13 @@ class AugmentedSet:
         described = read_json(folder / "set.json")
         if not isinstance(described, dict) or described.get("format") != FORMAT:
             raise DataError(folder / "set.json", f"is not of format {FORMAT}; write the augmented set again")
-        described["settings"]["left_out"] = tuple(described["settings"]["left_out"])
-        settings = AugmentationSettings(**described["settings"])
-        n, shape = described["n"], (settings.height, settings.width)
-        images = _mapped(folder / "images.npy", (n, *shape, 3))
-        masks = _mapped(folder / "masks.npy", (n, *shape))
+        scheme = described.get("scheme", "ours")
+        if scheme not in SCHEMES:
+            raise DataError(folder / "set.json", f"is of an unknown scheme {scheme!r}; known: {', '.join(SCHEMES)}")
+        settings = SCHEMES[scheme](**described["settings"])
+        n, (shape, mask_type) = described["n"], stored_form(settings)
+        images = _mapped(folder / "images.npy", (n, *shape, 3), np.uint8)
+        masks = _mapped(folder / "masks.npy", (n, *shape), mask_type)
         recipes = _read_recipes(folder / "recipes.jsonl")
         if len(recipes) != n:
             raise DataError(
@@ -94,6 +100,20 @@ class AugmentedSet:
         """How many images."""
         return len(self.recipes)
 
+    @property
+    def scheme(self) -> str:
+        """Name of the scheme that made it."""
+        return scheme_of(self.settings)
+
+    @property
+    def n_distinct(self) -> int:
+        """How many different images; schemes that draw from few variants repeat themselves."""
+        return len({recipe["digest"] for recipe in self.recipes})
+
+    def labels(self, indices: NDArray[np.integer] | slice) -> NDArray[np.float32]:
+        """``(B, H, W)`` float32 in [0, 1]: how much of each pixel is hand, of the images ``indices``."""
+        return hand_share(self.masks[indices])
+
     def verify(self) -> None:
         """Compare every image and mask with the digest in its recipe.
 
@@ -108,7 +128,7 @@ class AugmentedSet:
 def write_augmented_set(
     hands: HandSet,
     backgrounds: str | pathlib.Path | None,
-    settings: AugmentationSettings,
+    settings: SchemeSettings,
     folder: str | pathlib.Path,
     *,
     workers: int = 2,
@@ -119,8 +139,8 @@ def write_augmented_set(
 
     Args:
         hands: the originals.
-        backgrounds: folder of pictures without hands; None uses procedural surfaces alone.
-        settings: of the augmentation.
+        backgrounds: folder of pictures without hands, for our scheme; None uses procedural surfaces alone.
+        settings: of the scheme; their class chooses it (`deltasafe.perception.schemes`).
         folder: destination; an existing one is replaced when the new one is complete.
         workers: processes; their number changes no byte. 1 works in this process.
         progress: told after each original.
@@ -131,13 +151,13 @@ def write_augmented_set(
     """
     if workers < 1:
         raise SettingsError(f"workers is {workers}; choose at least 1")
-    pictures = Backgrounds() if backgrounds is None else Backgrounds.load(backgrounds)
-    n = len(hands) * settings.n_variants
+    ours = isinstance(settings, AugmentationSettings)
+    pictures = Backgrounds.load(backgrounds) if ours and backgrounds is not None else Backgrounds()
+    n, (size, mask_type) = len(hands) * settings.n_variants, stored_form(settings)
     recipes: list[dict[str, Any]] = []
     with atomic_folder(folder) as temporary:
-        shape = (n, settings.height, settings.width)
-        images = np.lib.format.open_memmap(temporary / "images.npy", mode="w+", dtype=np.uint8, shape=(*shape, 3))
-        masks = np.lib.format.open_memmap(temporary / "masks.npy", mode="w+", dtype=np.uint8, shape=shape)
+        images = np.lib.format.open_memmap(temporary / "images.npy", mode="w+", dtype=np.uint8, shape=(n, *size, 3))
+        masks = np.lib.format.open_memmap(temporary / "masks.npy", mode="w+", dtype=mask_type, shape=(n, *size))
         for done, variants in enumerate(_all_variants(hands, pictures, settings, workers), start=1):
             for made in variants:
                 images[len(recipes)], masks[len(recipes)] = made.image, made.mask
@@ -156,7 +176,8 @@ def write_augmented_set(
             "source_digest": hands.digest,
             "background_digest": pictures.digest,
             "digest": _digest(settings, hands.digest, pictures.digest, tuple(recipes)),
-            "applied": {name: _count(recipes, name) for name in METHOD_NAMES},
+            "applied": {name: _count(recipes, name) for name in (METHOD_NAMES if ours else _methods(recipes))},
+            **({} if ours else {"scheme": scheme_of(settings)}),
         }
         write_json(temporary / "set.json", described)
     return AugmentedSet.load(folder)
@@ -178,38 +199,31 @@ def remake(
     )
 
 
-_Job = tuple[HandSet, Backgrounds, AugmentationSettings]
-_job: _Job | None = None
+_maker: Maker | None = None
 
 
 def _all_variants(
-    hands: HandSet, backgrounds: Backgrounds, settings: AugmentationSettings, workers: int
+    hands: HandSet, backgrounds: Backgrounds, settings: SchemeSettings, workers: int
 ) -> Iterator[list[Augmented]]:
-    job = (hands, backgrounds, settings)
+    maker = maker_of(hands, backgrounds, settings)
     if workers == 1:
-        yield from (_variants(job, i) for i in range(len(hands)))
+        yield from (maker.variants(i) for i in range(len(hands)))
         return
     # spawned, not forked: the caller may hold the threads of a network
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(job,)) as pool:
+    with concurrent.futures.ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(maker,)) as pool:
         yield from pool.map(_work, range(len(hands)))
 
 
-def _begin(job: _Job) -> None:
-    global _job  # noqa: PLW0603  (one job for the life of a worker; sending it with every task would send all pictures)
-    _job = job
+def _begin(maker: Maker) -> None:
+    global _maker  # noqa: PLW0603  (one for the life of a worker; sending it with every task would send all pictures)
+    _maker = maker
     cv2.setNumThreads(1)
 
 
 def _work(i: int) -> list[Augmented]:
-    assert _job is not None
-    return _variants(_job, i)
-
-
-def _variants(job: _Job, i: int) -> list[Augmented]:
-    hands, backgrounds, settings = job
-    hand = cut_out(*hands.read(i), settings)
-    return [augment(hands.items[i].id, hand, variant, backgrounds, settings) for variant in range(settings.n_variants)]
+    assert _maker is not None
+    return _maker.variants(i)
 
 
 def _read_recipes(path: pathlib.Path) -> tuple[dict[str, Any], ...]:
@@ -224,18 +238,25 @@ def _read_recipes(path: pathlib.Path) -> tuple[dict[str, Any], ...]:
     return tuple(recipes)
 
 
-def _mapped(path: pathlib.Path, shape: tuple[int, ...]) -> np.ndarray:
+def _mapped(path: pathlib.Path, shape: tuple[int, ...], kind: type[np.generic]) -> np.ndarray:
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError) as error:
         raise DataError(path, f"cannot be opened ({error}); write the augmented set again") from error
-    if array.shape != shape or array.dtype != np.uint8:
-        raise DataError(path, f"holds {array.dtype} {array.shape}, not uint8 {shape}; write the augmented set again")
+    if array.shape != shape or array.dtype != kind:
+        expected = f"{np.dtype(kind)} {shape}"
+        raise DataError(path, f"holds {array.dtype} {array.shape}, not {expected}; write the augmented set again")
     return array
 
 
-def _digest(settings: AugmentationSettings, source: str, backgrounds: str, recipes: tuple[dict[str, Any], ...]) -> str:
-    return digest_of([settings, source, backgrounds, recipes])
+def _digest(settings: SchemeSettings, source: str, backgrounds: str, recipes: tuple[dict[str, Any], ...]) -> str:
+    scheme = [] if isinstance(settings, AugmentationSettings) else [scheme_of(settings)]
+    return digest_of([*scheme, settings, source, backgrounds, recipes])
+
+
+def _methods(recipes: list[dict[str, Any]]) -> list[str]:
+    """In the order in which they are applied."""
+    return list(dict.fromkeys(step["method"] for recipe in recipes for step in recipe["operations"]))
 
 
 def _count(recipes: list[dict[str, Any]], name: str) -> int:

@@ -172,5 +172,5 @@ def _shuffled(n_images: int, seed: int, epoch: int) -> NDArray[np.int64]:
 def _to_device(data: AugmentedSet, batch: NDArray[np.int64], target: torch.device) -> tuple[Tensor, Tensor]:
     """(B, 3, H, W) uint8 in channels-last order, as it lies on disk, and (B, H, W) float32 masks."""
     images: Any = torch.from_numpy(np.ascontiguousarray(data.images[batch])).permute(0, 3, 1, 2)
-    masks = torch.from_numpy(np.ascontiguousarray(data.masks[batch])).float()
+    masks = torch.from_numpy(np.ascontiguousarray(data.labels(batch)))
     return images.to(target), masks.to(target)
