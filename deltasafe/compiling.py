@@ -20,7 +20,7 @@ def _digest_of_sources() -> str:
     for path in [
         pathlib.Path(__file__),
         *sorted(root.glob("scene/*.py")),
-        *sorted(root.glob("planning/*.py")),
+        *sorted(root.glob("planning/**/*.py")),
     ]:
         digest.update(path.read_bytes())
     return digest.hexdigest()

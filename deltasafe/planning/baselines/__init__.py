@@ -1,0 +1,25 @@
+"""The compared methods: collision chance constraints for obstacles of known shape at a Gaussian position."""
+
+from deltasafe.planning.baselines.checks import GaussianCheckSettings, GaussianTest, gaussian_test, keep_out_m
+from deltasafe.planning.baselines.obstacles import GaussianObstacle, enclosing_obstacle
+from deltasafe.planning.baselines.probability import (
+    JOINT_RISKS,
+    METHODS,
+    collision_probability,
+    collision_probability_of_ball,
+    joint_probability,
+)
+
+__all__ = [
+    "JOINT_RISKS",
+    "METHODS",
+    "GaussianCheckSettings",
+    "GaussianObstacle",
+    "GaussianTest",
+    "collision_probability",
+    "collision_probability_of_ball",
+    "enclosing_obstacle",
+    "gaussian_test",
+    "joint_probability",
+    "keep_out_m",
+]
