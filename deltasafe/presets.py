@@ -65,7 +65,9 @@ PRESETS = {
         n_members=10,
         augmentation=AugmentationSettings(width=384, height=288, supersampling=1),
         training=TrainingSettings(
-            NetworkSettings("deeplabv3", "resnet50", pyramid_channels=256),
+            NetworkSettings(
+                "deeplabv3", "resnet50", pyramid_channels=256, atrous_rates=(12, 24, 36), separable_decoder=False
+            ),
             epochs=3,
             batch_size=2,
             peak_learning_rate=2e-4,

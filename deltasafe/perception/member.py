@@ -36,7 +36,7 @@ class Member:
             save_file({key: value.cpu().contiguous() for key, value in network.state_dict().items()}, temporary)
         record = {**record, "weights_sha256": sha256_of_file(folder / "weights.safetensors")}
         write_json(folder / "member.json", record)
-        return cls(folder, record)
+        return cls(folder, read_json(folder / "member.json"))
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "Member":

@@ -9,7 +9,7 @@ __all__ = ["ARCHITECTURES", "BACKBONES", "InferenceSettings", "NetworkSettings",
 
 ARCHITECTURES = ("deeplabv3", "deeplabv3plus")
 BACKBONES = ("efficientnet_lite0", "mobilenet_v3_large", "resnet50")
-PRECISIONS = ("float32", "bfloat16")
+PRECISIONS = ("auto", "float32", "bfloat16")
 SCHEDULES = ("one_cycle", "exponential")
 
 _STRIDE = 16
@@ -26,20 +26,28 @@ class NetworkSettings:
         pretrained: begin from ImageNet weights where an installed package or a local cache holds them
             (never downloaded); the head is random for each member either way.
         pyramid_channels: width of the atrous pyramid; torchvision's default is 256.
+        atrous_rates: of the pyramid, in cells of stride 16. torchvision's (12, 24, 36) are meant for maps of 65 x 65
+            cells; on the 12 x 9 cells of a small image they reach outside everywhere and leave 1 x 1 convolutions.
+        separable_decoder: depthwise separable convolutions behind the pyramid, as in DeepLabv3+ (Chen et al. 2018).
     """
 
     architecture: str = "deeplabv3plus"
     backbone: str = "efficientnet_lite0"
     pretrained: bool = True
     pyramid_channels: int = 128
+    atrous_rates: tuple[int, ...] = (2, 4, 6)
+    separable_decoder: bool = True
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "atrous_rates", tuple(self.atrous_rates))
         if self.architecture not in ARCHITECTURES:
             raise SettingsError(f"architecture must be one of {ARCHITECTURES}, got {self.architecture!r}")
         if self.backbone not in BACKBONES:
             raise SettingsError(f"backbone must be one of {BACKBONES}, got {self.backbone!r}")
         if self.pyramid_channels < 1:
             raise SettingsError(f"pyramid_channels must be positive, got {self.pyramid_channels}")
+        if not self.atrous_rates or min(self.atrous_rates) < 1:
+            raise SettingsError(f"atrous_rates must be at least one positive number, got {self.atrous_rates}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +61,9 @@ class TrainingSettings:
         peak_learning_rate: of AdamW; ``one_cycle`` rises to it over the first quarter and falls to zero,
             ``exponential`` starts there and is multiplied by ``epoch_decay`` after each epoch.
         weight_decay: of AdamW (decoupled); 0 is Adam.
-        precision: ``float32``, or ``bfloat16`` autocast (pays on GPUs and on CPUs with AMX).
+        precision: ``bfloat16`` multiplies dense convolutions in that type (sums stay in float32, and so does all
+            else on a CPU), ``float32`` nothing; ``auto`` is bfloat16 where the hardware multiplies it faster.
+        compile: `torch.compile` the network before training; needs a C++ compiler, pays in long trainings.
         checkpoint_every_steps: a killed training loses at most so many steps.
     """
 
@@ -64,7 +74,8 @@ class TrainingSettings:
     schedule: str = "one_cycle"
     epoch_decay: float = 0.8
     weight_decay: float = 1e-4
-    precision: str = "float32"
+    precision: str = "auto"
+    compile: bool = False
     checkpoint_every_steps: int = 60
 
     def __post_init__(self) -> None:

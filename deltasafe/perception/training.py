@@ -22,6 +22,7 @@ from deltasafe.perception.augmented_set import AugmentedSet
 from deltasafe.perception.checkpoint import Checkpoint
 from deltasafe.perception.member import Member
 from deltasafe.perception.network import build_network, pretrained_weights_at_hand
+from deltasafe.perception.precision import multiplying, prepare, resolved_precision
 from deltasafe.perception.settings import TrainingSettings
 from deltasafe.storage import digest_of
 
@@ -34,7 +35,7 @@ __all__ = [
 ]
 
 
-RECIPE_VERSION = 1
+RECIPE_VERSION = 2
 """Raised by a change of network or loop that trains other members from the same settings."""
 
 
@@ -107,6 +108,9 @@ def train_member(
 
     target = pick_device(device)
     network = build_network(settings.network, seed).to(target).to(memory_format=torch.channels_last).train()
+    precision = resolved_precision(settings.precision, target)
+    prepare(network, precision, target)
+    forward = torch.compile(network) if settings.compile else network
     optimiser = torch.optim.AdamW(
         network.parameters(), lr=settings.peak_learning_rate, weight_decay=settings.weight_decay, fused=True
     )
@@ -124,8 +128,8 @@ def train_member(
         batch = _shuffled(n_images, seed, epoch)[position * settings.batch_size :][: settings.batch_size]
         images, masks = _to_device(data, batch, target)
         torch.manual_seed(_mix(seed, step))
-        with torch.autocast(target.type, torch.bfloat16, enabled=settings.precision == "bfloat16"):
-            loss = functional.binary_cross_entropy_with_logits(network(images), masks)
+        with multiplying(precision, target):
+            loss = functional.binary_cross_entropy_with_logits(forward(images), masks)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -150,6 +154,7 @@ def train_member(
             "ensemble_identity": training_identity(data, settings),
             "seed": seed,
             "settings": dataclasses.asdict(settings),
+            "precision": precision,
             "data_digest": data.digest,
             "image_size": [data.images.shape[2], data.images.shape[1]],
             "pretrained_weights": pretrained_weights_at_hand(settings.network),
