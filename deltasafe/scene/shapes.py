@@ -28,6 +28,11 @@ class Sphere:
         if not (math.isfinite(self.radius_m) and self.radius_m > 0):
             raise SettingsError(f"radius_m must be positive, got {self.radius_m}")
 
+    @property
+    def reach_m(self) -> float:
+        """Radius of the least ball around the centre that encloses it."""
+        return self.radius_m
+
     def distance_m(self, points_m: Array) -> Array:
         """Distance (N,) of points (N, 3) to the ball, 0 inside."""
         return np.maximum(np.linalg.norm(np.asarray(points_m) - self.centre_m, axis=1) - self.radius_m, 0.0)
@@ -45,6 +50,11 @@ class Cuboid:
         if not all(math.isfinite(value) and value > 0 for value in self.half_extents_m):
             raise SettingsError(f"half_extents_m must be positive, got {self.half_extents_m}")
 
+    @property
+    def reach_m(self) -> float:
+        """Radius of the least ball around the centre that encloses it."""
+        return math.hypot(*self.half_extents_m)
+
     def distance_m(self, points_m: Array) -> Array:
         """Distance (N,) of points (N, 3) to the box, 0 inside."""
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
@@ -61,13 +71,21 @@ def p_occupied_near(shapes: Sequence[Shape], decay_m: float, points_m: Array, sl
     Decision 14: 1 - prod(1 - p_i), so that a mean shape is always occupied. With ``slack_m`` the distances are
     shortened by it, which bounds the probability of all points within that distance.
     """
-    if not (math.isfinite(decay_m) and decay_m >= 0):
-        raise SettingsError(f"decay_m must not be negative, got {decay_m}")
+    _check_decay(decay_m)
     p_free = np.ones(len(points_m))
     for shape in shapes:
-        distance_m = np.maximum(shape.distance_m(points_m) - slack_m, 0.0)
-        p_free *= np.clip(distance_m / decay_m, 0.0, 1.0) if decay_m > 0 else distance_m > 0
+        p_free *= _p_free(shape, decay_m, points_m, slack_m)
     return 1.0 - p_free
+
+
+def _check_decay(decay_m: float) -> None:
+    if not (math.isfinite(decay_m) and decay_m >= 0):
+        raise SettingsError(f"decay_m must not be negative, got {decay_m}")
+
+
+def _p_free(shape: Shape, decay_m: float, points_m: Array, slack_m: float) -> Array:
+    distance_m = np.maximum(shape.distance_m(points_m) - slack_m, 0.0)
+    return np.clip(distance_m / decay_m, 0.0, 1.0) if decay_m > 0 else (distance_m > 0).astype(np.float64)
 
 
 def grid_from_shapes(
@@ -81,8 +99,16 @@ def grid_from_shapes(
     lower, upper = np.asarray(lower_m, dtype=np.float64), np.asarray(upper_m, dtype=np.float64)
     if not (upper > lower).all() or not voxel_m > 0:
         raise SettingsError(f"a grid needs upper > lower and voxel_m > 0, got {lower_m}, {upper_m}, {voxel_m}")
+    _check_decay(decay_m)
     counts = np.ceil((upper - lower) / voxel_m - 1e-9).astype(int)
-    axes = [lower[i] + voxel_m * (np.arange(counts[i]) + 0.5) for i in range(3)]
-    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    p_occupied = p_occupied_near(shapes, decay_m, centres, slack_m=voxel_m * math.sqrt(3) / 2)
-    return OccupancyGrid(p_occupied.reshape(counts).astype(np.float32), lower, voxel_m)
+    slack_m = voxel_m * math.sqrt(3) / 2
+    p_free = np.ones(counts)
+    for shape in shapes:  # beyond its reach a shape changes nothing
+        reach_m = shape.reach_m + decay_m + slack_m
+        first = np.clip(np.floor((np.asarray(shape.centre_m) - reach_m - lower) / voxel_m), 0, counts).astype(int)
+        last = np.clip(np.ceil((np.asarray(shape.centre_m) + reach_m - lower) / voxel_m), first, counts).astype(int)
+        axes = [lower[i] + voxel_m * (np.arange(first[i], last[i]) + 0.5) for i in range(3)]
+        centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        near = _p_free(shape, decay_m, centres.reshape(-1, 3), slack_m)
+        p_free[tuple(slice(*ends) for ends in zip(first, last, strict=True))] *= near.reshape(centres.shape[:3])
+    return OccupancyGrid((1.0 - p_free).astype(np.float32), lower, voxel_m)

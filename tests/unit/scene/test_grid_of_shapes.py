@@ -1,0 +1,31 @@
+"""A grid is filled shape by shape; it must hold what the formula says of every voxel."""
+
+import math
+
+import numpy as np
+import pytest
+
+from deltasafe.errors import SettingsError
+from deltasafe.scene import Cuboid, Sphere, grid_from_shapes, p_occupied_near
+
+
+@pytest.mark.parametrize("decay_m", [0.0, 0.03])
+def test_shape_by_shape_is_all_shapes_at_every_voxel(decay_m):
+    shapes = [
+        Sphere((0.05, 0.06, 0.05), 0.03),
+        Cuboid((0.12, 0.05, 0.02), (0.03, 0.01, 0.02), 0.7),
+        Sphere((0.2, 0.2, 0.2), 0.05),
+        Sphere((-0.3, 0.0, 0.0), 0.02),
+    ]
+    voxel_m = 0.01
+    grid = grid_from_shapes(shapes, decay_m, (0, 0, 0), (0.2, 0.15, 0.1), voxel_m)
+    axes = [voxel_m * (np.arange(count) + 0.5) for count in grid.p_occupied.shape]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    expected = p_occupied_near(shapes, decay_m, centres, slack_m=voxel_m * math.sqrt(3) / 2)
+    np.testing.assert_array_equal(grid.p_occupied.ravel(), expected.astype(np.float32))
+    assert 0 < grid.p_occupied.mean() < 1
+
+
+def test_a_negative_decay_is_refused_even_without_shapes():
+    with pytest.raises(SettingsError, match="decay_m"):
+        grid_from_shapes([], -0.1, (0, 0, 0), (0.1, 0.1, 0.1))
