@@ -62,7 +62,8 @@ def ensemble_reliability_figure(report: CalibrationReport) -> Figure:
     theirs.set_title("The paper's Fig. 4", fontsize=11)
     for axes in (ours, theirs):
         axes.set_xlabel("Confidence")
-    handles = [Line2D([], [], color=_COLOURS.get(m, _COLOURS[10]), lw=1.8, label=f"$M = {m}$") for m in sizes]
+    shown = sorted({*sizes, *RELIABILITY_RESULTS})
+    handles = [Line2D([], [], color=_COLOURS.get(m, _COLOURS[10]), lw=1.8, label=f"$M = {m}$") for m in shown]
     handles += [
         Line2D([], [], color=_GREY, lw=0.9, label=f"Single members ({len(members)})"),
         Line2D([], [], color="black", ls=":", lw=1, label="Ideal"),
@@ -83,7 +84,7 @@ def ensemble_size_figure(report: CalibrationReport) -> Figure:
     paper = [m for m in ENSEMBLE_SIZE_RESULTS if m <= max(report.n_members, 2)]
     for column, (name, label) in enumerate((("brier", "Brier score"), ("nll", "NLL [nats]"))):
         axes = figure.add_subplot(1, 2, column + 1)
-        low, high = ([getattr(side, name) for side in sides] for sides in zip(*((r.low, r.high) for r in rows)))
+        low, high = np.transpose([(getattr(row.low, name), getattr(row.high, name)) for row in rows])
         members = [getattr(member.scores, name) for member in report.members]
         axes.fill_between(sizes, low, high, color=_COLOURS[10], alpha=0.13, lw=0)
         axes.plot(np.ones(len(members)), members, "o", color=_GREY, alpha=0.7, ms=5, label="each member alone")

@@ -28,7 +28,8 @@ from deltasafe.storage import atomic_file, atomic_folder, digest_of_code, read_j
 
 __all__ = ["FORMAT_VERSION", "FrozenEnsemble", "freeze_ensemble", "load_ensemble", "verify_artifact"]
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""2 applies the temperature of `calibration.json`; in version 1 it was always 1."""
 GOLDEN_TOLERANCE = 1e-4
 
 
@@ -44,10 +45,10 @@ class FrozenEnsemble(Ensemble):
     def __init__(self, folder: pathlib.Path, manifest: dict[str, Any], device: str = "cpu") -> None:
         network = NetworkSettings(**manifest["network"])
         members = [load_network(network, folder / name) for name in manifest["members"]]
-        super().__init__(members, InferenceSettings(**manifest["inference"]), device)
+        self.calibration = Calibration.load(folder / "calibration.json")
+        super().__init__(members, InferenceSettings(**manifest["inference"]), device, self.calibration.temperature)
         self.folder = folder
         self.manifest = manifest
-        self.calibration = Calibration(**read_json(folder / "calibration.json"))
 
 
 def freeze_ensemble(
@@ -79,7 +80,8 @@ def freeze_ensemble(
         raise SettingsError(
             f"the calibration is of {calibration.n_members} members, but {len(members)} are to be frozen"
         )
-    ensemble = Ensemble([member.network() for member in members], inference)
+    networks = [member.network() for member in members]
+    ensemble = Ensemble(networks, inference, temperature=calibration.temperature)
     parent = pathlib.Path(parent)
     staging = parent / f".freezing-{os.getpid()}"
     with atomic_folder(staging) as temporary:
@@ -133,9 +135,9 @@ def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
     except DataError as error:
         raise ArtifactError(error.path, error.reason) from None
     version = manifest.get("format_version") if isinstance(manifest, dict) else None
-    if version != FORMAT_VERSION:
+    if version not in (1, FORMAT_VERSION):
         raise ArtifactError(
-            folder / "manifest.json", f"has format_version {version!r}, this version reads {FORMAT_VERSION}"
+            folder / "manifest.json", f"has format_version {version!r}, this version reads 1 to {FORMAT_VERSION}"
         )
     expected_name = f"ensemble-{sha256_of_file(folder / 'manifest.json')[:16]}"
     if folder.resolve().name.startswith("ensemble-") and folder.resolve().name != expected_name:

@@ -7,16 +7,22 @@ it.
 
 import dataclasses
 import math
+import pathlib
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from deltasafe.errors import SettingsError
+from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.reliability import DELTA_GRID, BinCounts, bootstrap_weights, ratio
+from deltasafe.storage import read_json
 
 __all__ = [
     "Calibration",
     "DeltaSupport",
+    "HeldOutDelta",
     "delta_support",
+    "held_out_support",
     "require_supported_delta",
     "smallest_supported_delta",
 ]
@@ -26,16 +32,23 @@ __all__ = [
 class Calibration:
     """What an ensemble states about its own probabilities; stored with it as ``calibration.json``.
 
-    The statement is about the mean of all members as it is (T = 1), on all pixels of the test images.
+    The statement is about `Ensemble.p_occupied` as it is used: the mean of all members, recalibrated by
+    ``temperature``, on all pixels of images that neither the members nor the temperature they were judged with
+    have seen.
 
     Attributes:
-        n_images: images on which everything below was measured.
+        n_images: images on which the scores were measured.
         n_members: members of the ensemble.
         pixel_accuracy, miou, brier, nll: see `deltasafe.perception.metrics`.
         expected_calibration_error: of the ten bins on [0.5, 1].
         smallest_supported_delta: None if the data supports no delta at all.
         level: one-sided confidence of that support.
-        temperature: what recalibration would use; 1.0 means as it is. Nothing above was computed with it.
+        temperature: divides the logit of the mean; 1.0 leaves it as it is.
+        n_calibration_images: images that temperature, delta and threshold were fitted on; 0 in old files, in which
+            they are the ``n_images``.
+        missed_hand_alpha: bound on the expected share of a hand's pixels with ``p_occupied <=
+            missed_hand_threshold`` in a new image (conformal risk control); None in old files.
+        missed_hand_threshold: None if so few images support no threshold.
     """
 
     n_images: int
@@ -48,6 +61,9 @@ class Calibration:
     smallest_supported_delta: float | None
     level: float = 0.95
     temperature: float = 1.0
+    n_calibration_images: int = 0
+    missed_hand_alpha: float | None = None
+    missed_hand_threshold: float | None = None
 
     def __post_init__(self) -> None:
         supported = self.smallest_supported_delta
@@ -55,6 +71,19 @@ class Calibration:
             raise SettingsError(f"smallest_supported_delta must lie in (0, 1) or be None, got {supported}")
         if not (math.isfinite(self.temperature) and self.temperature > 0.0):
             raise SettingsError(f"temperature must be positive, got {self.temperature}")
+
+    @classmethod
+    def load(cls, path: str | pathlib.Path) -> "Calibration":
+        """Read ``calibration.json``, also one of the first format, which knows no threshold.
+
+        Raises:
+            DataError: the file is missing or no calibration.
+        """
+        value = read_json(path)
+        try:
+            return cls(**value)
+        except (TypeError, SettingsError) as error:
+            raise DataError(path, f"is not a calibration ({error}); freeze the ensemble again") from error
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +108,26 @@ class DeltaSupport:
     missed_hand_rate_mean: float | None
     missed_hand_rate_worst: float | None
     supported: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class HeldOutDelta:
+    """The smallest supported delta, fitted and judged on different images.
+
+    Attributes:
+        n_fits: how often it was fitted.
+        n_without_delta: fits that supported no delta.
+        lowest, highest: range of the deltas fitted.
+        clear_share: share of all judged pixels that count as free at the delta of their fit.
+        occupied_share: share of those that are occupied; it should be at most delta.
+    """
+
+    n_fits: int
+    n_without_delta: int
+    lowest: float | None
+    highest: float | None
+    clear_share: float
+    occupied_share: float | None
 
 
 def delta_support(
@@ -106,13 +155,12 @@ def delta_support(
         level: one-sided confidence.
         seed: of the bootstrap.
     """
-    clear = np.cumsum(counts.count, axis=1)[:, :-1]
-    missed = np.cumsum(counts.event, axis=1)[:, :-1]
+    clear, missed = _taken_for_free(counts)
     pixels, hand = counts.count.sum(axis=1), counts.event.sum(axis=1)
     # the one more image
     clear_drawn = np.vstack([clear, np.full((1, len(DELTA_GRID)), pixels.mean())])
     missed_drawn = np.vstack([missed, np.full((1, len(DELTA_GRID)), hand.mean())])
-    weights = bootstrap_weights(len(pixels) + 1, n_bootstrap, seed)
+    weights = bootstrap_weights(len(pixels) + 1, n_bootstrap, seed).astype(np.float64)
     # a sample without any clear pixel says nothing in favour of delta
     drawn = np.nan_to_num(ratio(weights @ missed_drawn, weights @ clear_drawn), nan=1.0)
     bound = np.quantile(drawn, level, axis=0, method="higher")
@@ -132,6 +180,49 @@ def delta_support(
         )
         for k, delta in enumerate(DELTA_GRID)
     )
+
+
+def held_out_support(
+    counts: BinCounts,
+    fits: Sequence[BinCounts],
+    judged: Sequence[NDArray[np.intp]],
+    *,
+    n_bootstrap: int = 2000,
+    level: float = 0.95,
+    seed: int = 0,
+) -> HeldOutDelta:
+    """What becomes of the smallest supported delta on images that it was not fitted on.
+
+    Args:
+        counts: `safety_counts` of N images, drawn upon by ``judged``.
+        fits: images to fit on, once or fold by fold.
+        judged: for each fit the indices into ``counts`` of the images that it has not seen.
+        n_bootstrap, level, seed: of `delta_support`.
+    """
+    clear, missed = _taken_for_free(counts)
+    deltas: list[float] = []
+    n_clear = n_missed = 0
+    for fit, unseen in zip(fits, judged, strict=True):
+        delta = smallest_supported_delta(delta_support(fit, n_bootstrap=n_bootstrap, level=level, seed=seed))
+        if delta is not None:
+            k = DELTA_GRID.index(delta)
+            deltas.append(delta)
+            n_clear += int(clear[unseen, k].sum())
+            n_missed += int(missed[unseen, k].sum())
+    return HeldOutDelta(
+        n_fits=len(fits),
+        n_without_delta=len(fits) - len(deltas),
+        lowest=min(deltas, default=None),
+        highest=max(deltas, default=None),
+        clear_share=n_clear / int(counts.count.sum()),
+        occupied_share=n_missed / n_clear if n_clear else None,
+    )
+
+
+def _taken_for_free(counts: BinCounts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(N, len(DELTA_GRID)) pixels with p_occupied <= delta, and how many of them are occupied."""
+    clear = np.cumsum(counts.count, axis=1, dtype=np.float64)[:, :-1]
+    return clear, np.cumsum(counts.event, axis=1, dtype=np.float64)[:, :-1]
 
 
 def smallest_supported_delta(support: tuple[DeltaSupport, ...]) -> float | None:

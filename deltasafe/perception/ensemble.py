@@ -9,6 +9,7 @@ from torch.nn import functional
 
 from deltasafe.errors import SettingsError
 from deltasafe.perception.network import SegmentationNetwork
+from deltasafe.perception.recalibration import apply_temperature
 from deltasafe.perception.settings import InferenceSettings
 
 __all__ = ["Ensemble", "probability"]
@@ -21,12 +22,20 @@ class Ensemble:
         members: networks in evaluation mode, at least one.
         settings: the resolution at which they look.
         device: ``auto``, ``cpu``, ``cuda``, ...
+        temperature: divides the logit of the mean (pool, then calibrate); 1 leaves it as it is.
     """
 
-    def __init__(self, members: list[SegmentationNetwork], settings: InferenceSettings, device: str = "cpu") -> None:
+    def __init__(
+        self,
+        members: list[SegmentationNetwork],
+        settings: InferenceSettings,
+        device: str = "cpu",
+        temperature: float = 1.0,
+    ) -> None:
         if not members:
             raise SettingsError("an ensemble needs at least one member")
         self.settings = settings
+        self.temperature = temperature
         self.device = torch.device(device)
         self.members = nn.ModuleList(members).to(self.device).to(memory_format=torch.channels_last).eval()
 
@@ -40,16 +49,17 @@ class Ensemble:
             rgb: (H, W, 3) uint8.
 
         Returns:
-            (H, W) float32 in [0, 1]: the mean over members.
+            (H, W) float32 in [0, 1]: the mean over members, recalibrated by the temperature.
 
         Raises:
             SettingsError: ``rgb`` has another shape or type.
         """
-        return np.asarray(self.member_p_occupied(rgb).mean(axis=0, dtype=np.float32))
+        mean = self.member_p_occupied(rgb).mean(axis=0, dtype=np.float32)
+        return apply_temperature(mean, self.temperature).astype(np.float32)
 
     @torch.inference_mode()
     def member_p_occupied(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """(M, H, W) float32: what each member thinks of ``rgb``, (H, W, 3) uint8."""
+        """(M, H, W) float32: what each member thinks of ``rgb``, (H, W, 3) uint8; the temperature is not applied."""
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or 0 in rgb.shape:
             raise SettingsError(f"an image must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
         seen = self.resized(rgb).to(self.device)

@@ -58,7 +58,7 @@ def ensemble_size_rows(report: CalibrationReport) -> tuple[EnsembleSize, ...]:
 
 
 def ensemble_size_values(report: CalibrationReport) -> dict[str, float]:
-    """``bs_m5``, ``bs_m5_low``, ``bs_m5_high`` and so on for PA, mIoU, BS and NLL and every M: for JSON and trackers."""
+    """``bs_m5``, ``bs_m5_low``, ``bs_m5_high`` and so on for PA, mIoU, BS and NLL and every M, by short name."""
     names = {"pa": "pixel_accuracy", "miou": "miou", "bs": "brier", "nll": "nll"}
     return {
         f"{short}_m{row.n_members}{suffix}": getattr(scores, name)

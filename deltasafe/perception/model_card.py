@@ -19,11 +19,21 @@ def model_card(manifest: dict[str, Any], calibration: Calibration) -> str:
         if supported is not None
         else "These images support **no** delta: do not plan with this ensemble."
     )
+    temperature = calibration.temperature
+    recalibrated = "" if temperature == 1.0 else f", recalibrated by a temperature of **{temperature:.3f}**,"
+    n_fitted = calibration.n_calibration_images or calibration.n_images
+    threshold = (
+        f"\n\nIn a new image like these at most **{calibration.missed_hand_alpha:.0%}** of the hand is expected to have"
+        f" `p_occupied <= {calibration.missed_hand_threshold:.3g}` (conformal risk control on {n_fitted} images; a mean"
+        " over images, no bound for each)."
+        if calibration.missed_hand_alpha is not None and calibration.missed_hand_threshold is not None
+        else ""
+    )
     return f"""# Hand occupancy ensemble
 
 {manifest["n_members"]} independently trained `{network["architecture"]}` networks on `{network["backbone"]}`
-(seeds {", ".join(str(seed) for seed in manifest["seeds"])}); their mean is the probability that a pixel shows a hand
-or forearm. Images are looked at with about {inference["width"]} x {inference["height"]} pixels.
+(seeds {", ".join(str(seed) for seed in manifest["seeds"])}); their mean{recalibrated} is the probability that a
+pixel shows a hand or forearm. Images are looked at with about {inference["width"]} x {inference["height"]} pixels.
 
 ## How it was judged
 
@@ -34,7 +44,7 @@ On {calibration.n_images} labelled test images that no training has seen, on all
 | {calibration.pixel_accuracy:.4f} | {calibration.miou:.4f} | {calibration.nll:.4f} | {calibration.brier:.4f} \
 | {calibration.expected_calibration_error:.4f} |
 
-{delta}
+{delta}{threshold}
 
 ## Intended use
 
@@ -58,5 +68,5 @@ p_occupied = ensemble.p_occupied(rgb)             # uint8 (H, W, 3) -> float32 (
 ```
 
 or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, {height}, {width}, 3);
-outputs `p_occupied` (B, h, w) and `member_p_occupied` (B, M, h, w).
+outputs `p_occupied` (B, h, w), recalibrated, and `member_p_occupied` (B, M, h, w), as the members say it.
 """

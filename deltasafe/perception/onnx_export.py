@@ -1,4 +1,4 @@
-"""The whole ensemble as one ONNX program: an image in, the mean probability and each member's out."""
+"""The whole ensemble as one ONNX program: an image in, the (recalibrated) mean and each member's probability out."""
 
 import logging
 import pathlib
@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from deltasafe.perception.ensemble import Ensemble, probability
+from deltasafe.perception.metrics import NLL_CLIP
 from deltasafe.storage import atomic_file
 
 __all__ = ["export_onnx"]
@@ -19,12 +20,16 @@ class _Program(nn.Module):
     def __init__(self, ensemble: Ensemble) -> None:
         super().__init__()
         self.members = ensemble.members
+        self.temperature = ensemble.temperature
 
     def forward(self, rgb: Tensor) -> tuple[Tensor, Tensor]:
         images = rgb.permute(0, 3, 1, 2).float()
         each = [probability(network(images), tuple(images.shape[-2:])) for network in self.members]
         stacked = torch.stack(each, dim=1)
-        return stacked.mean(dim=1), stacked
+        mean = stacked.mean(dim=1)
+        if self.temperature != 1.0:
+            mean = torch.sigmoid(torch.logit(mean, eps=NLL_CLIP) / self.temperature)
+        return mean, stacked
 
 
 def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:

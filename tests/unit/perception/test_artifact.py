@@ -9,7 +9,7 @@ import pytest
 
 import deltasafe
 from deltasafe.cli import main
-from deltasafe.errors import ArtifactError, SettingsError
+from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.perception.artifact import freeze_ensemble, golden_difference, load_ensemble, verify_artifact
 from deltasafe.perception.calibration import Calibration
 from deltasafe.perception.ensemble import Ensemble
@@ -28,6 +28,10 @@ CALIBRATION = Calibration(
     nll=0.07,
     expected_calibration_error=0.01,
     smallest_supported_delta=0.03,
+    temperature=0.6,
+    n_calibration_images=40,
+    missed_hand_alpha=0.05,
+    missed_hand_threshold=0.2,
 )
 
 
@@ -100,8 +104,54 @@ def test_freezing_twice_gives_the_same_name_and_no_second_folder(members, frozen
 
 def test_loaded_and_trained_give_the_same_bits(members, frozen):
     rgb = image(100, 90, seed=3)
-    expected = Ensemble([member.network() for member in members], INFERENCE).p_occupied(rgb)
+    expected = Ensemble([member.network() for member in members], INFERENCE, temperature=0.6).p_occupied(rgb)
     assert np.array_equal(load_ensemble(frozen).p_occupied(rgb), expected)
+
+
+def test_the_temperature_is_applied_to_the_mean_and_to_no_member(members, frozen):
+    rgb = image(30, 50, seed=4)
+    plain = Ensemble([member.network() for member in members], INFERENCE)
+    each = load_ensemble(frozen).member_p_occupied(rgb)
+    assert np.array_equal(each, plain.member_p_occupied(rgb))
+    odds = (each.mean(axis=0) / (1 - each.mean(axis=0))) ** (1 / 0.6)
+    np.testing.assert_allclose(load_ensemble(frozen).p_occupied(rgb), odds / (1 + odds), atol=1e-6)
+    assert np.abs(load_ensemble(frozen).p_occupied(rgb) - plain.p_occupied(rgb)).max() > 1e-3
+
+
+def test_an_ensemble_of_the_first_format_is_read_as_it_is(copy, tmp_path):
+    import hashlib
+
+    rgb = image(20, 30)
+    old = {
+        "n_images": 50,
+        "n_members": 2,
+        "pixel_accuracy": 0.97,
+        "miou": 0.93,
+        "brier": 0.02,
+        "nll": 0.07,
+        "expected_calibration_error": 0.01,
+        "smallest_supported_delta": 0.03,
+        "level": 0.95,
+        "temperature": 1.0,
+    }
+    (copy / "calibration.json").write_text(json.dumps(old))
+    manifest = json.loads((copy / "manifest.json").read_text())
+    assert manifest["format_version"] == 2
+    manifest["format_version"] = 1
+    digest = hashlib.sha256((copy / "calibration.json").read_bytes()).hexdigest()
+    manifest["files"]["calibration.json"] = digest
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    ensemble = load_ensemble(copy.rename(tmp_path / "pulled"))
+    assert (ensemble.calibration.smallest_supported_delta, ensemble.calibration.missed_hand_threshold) == (0.03, None)
+    mean = ensemble.member_p_occupied(rgb).mean(axis=0, dtype=np.float32)
+    assert np.array_equal(ensemble.p_occupied(rgb), mean)
+
+
+def test_a_damaged_calibration_is_named(tmp_path):
+    for text in ('{"surplus": 1}', "[1]"):
+        (tmp_path / "calibration.json").write_text(text)
+        with pytest.raises(DataError, match=r"calibration.json: is not a calibration"):
+            Calibration.load(tmp_path / "calibration.json")
 
 
 def test_another_calibration_is_another_artifact(members, frozen, tmp_path):
