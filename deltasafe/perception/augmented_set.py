@@ -152,13 +152,14 @@ def write_augmented_set(
     if workers < 1:
         raise SettingsError(f"workers is {workers}; choose at least 1")
     ours = isinstance(settings, AugmentationSettings)
-    pictures = Backgrounds.load(backgrounds) if ours and backgrounds is not None else Backgrounds()
+    backgrounds = backgrounds if ours else None
+    pictures = _pictures(backgrounds)
     n, (size, mask_type) = len(hands) * settings.n_variants, stored_form(settings)
     recipes: list[dict[str, Any]] = []
     with atomic_folder(folder) as temporary:
         images = np.lib.format.open_memmap(temporary / "images.npy", mode="w+", dtype=np.uint8, shape=(n, *size, 3))
         masks = np.lib.format.open_memmap(temporary / "masks.npy", mode="w+", dtype=mask_type, shape=(n, *size))
-        for done, variants in enumerate(_all_variants(hands, pictures, settings, workers), start=1):
+        for done, variants in enumerate(_all_variants(hands, backgrounds, settings, workers), start=1):
             for made in variants:
                 images[len(recipes)], masks[len(recipes)] = made.image, made.mask
                 recipes.append(made.recipe)
@@ -203,27 +204,32 @@ _maker: Maker | None = None
 
 
 def _all_variants(
-    hands: HandSet, backgrounds: Backgrounds, settings: SchemeSettings, workers: int
+    hands: HandSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings, workers: int
 ) -> Iterator[list[Augmented]]:
-    maker = maker_of(hands, backgrounds, settings)
     if workers == 1:
+        maker = maker_of(hands, _pictures(backgrounds), settings)
         yield from (maker.variants(i) for i in range(len(hands)))
         return
     # spawned, not forked: the caller may hold the threads of a network
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(maker,)) as pool:
+    with concurrent.futures.ProcessPoolExecutor(workers, context, _begin, (hands, backgrounds, settings)) as pool:
         yield from pool.map(_work, range(len(hands)))
 
 
-def _begin(maker: Maker) -> None:
-    global _maker  # noqa: PLW0603  (one for the life of a worker; sending it with every task would send all pictures)
-    _maker = maker
+def _begin(hands: HandSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings) -> None:
+    """Workers read pictures themselves: who is sent more than a pipe holds, and dies at its start, is waited for."""
+    global _maker  # noqa: PLW0603  (one for the life of a worker)
+    _maker = maker_of(hands, _pictures(backgrounds), settings)
     cv2.setNumThreads(1)
 
 
 def _work(i: int) -> list[Augmented]:
     assert _maker is not None
     return _maker.variants(i)
+
+
+def _pictures(backgrounds: str | pathlib.Path | None) -> Backgrounds:
+    return Backgrounds() if backgrounds is None else Backgrounds.load(backgrounds)
 
 
 def _read_recipes(path: pathlib.Path) -> tuple[dict[str, Any], ...]:

@@ -1,0 +1,106 @@
+"""Which cells the studies of the paper's section V-A have; free of torch and OpenCV, so that a UI can name them."""
+
+import dataclasses
+
+from deltasafe.errors import SettingsError
+from deltasafe.perception.augmentation.settings import METHOD_NAMES
+from deltasafe.perception.schemes import SCHEMES
+
+__all__ = ["Cell", "StudySettings"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """An ensemble to train and judge: a scheme at a size, for ablations with one method left out.
+
+    Attributes:
+        scheme: a name of `deltasafe.perception.schemes.SCHEMES`.
+        n_images: size of the augmented set.
+        n_members: M.
+        left_out: method of our scheme that is never applied; empty for the whole scheme.
+    """
+
+    scheme: str
+    n_images: int
+    n_members: int
+    left_out: str = ""
+
+    def __post_init__(self) -> None:
+        if self.scheme not in SCHEMES:
+            raise SettingsError(f"scheme is {self.scheme!r}; choose one of {', '.join(SCHEMES)}")
+        if self.left_out and (self.scheme != "ours" or self.left_out not in METHOD_NAMES):
+            raise SettingsError(
+                f"left_out is {self.left_out!r}; only our scheme has methods: {', '.join(METHOD_NAMES)}"
+            )
+        for name in ("n_images", "n_members"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+    @property
+    def name(self) -> str:
+        """For folders, partitions and figures: ``mixup-200``, ``ours-1000-without-flip``."""
+        return f"{self.scheme}-{self.n_images}" + (f"-without-{self.left_out}" if self.left_out else "")
+
+
+@dataclasses.dataclass(frozen=True)
+class StudySettings:
+    """Extent of the studies; network, training and inference are those of the preset.
+
+    Attributes:
+        sizes: of the augmented sets; every cell is trained with as many gradient steps as the largest.
+        n_members: M of Tables I and II, the same for every scheme.
+        n_members_most: M up to which Table III goes: our scheme at the largest size.
+        n_members_ablation: M with one method left out; compared with as many members of the whole scheme.
+        left_out: methods of the ablation, one after another, at the largest size.
+        cutout_side: see `CutoutSettings`.
+        mixup_alpha: see `MixupSettings`.
+        first_seed: member m of every cell has the seed ``first_seed`` + m.
+    """
+
+    sizes: tuple[int, ...] = (200, 1000)
+    n_members: int = 5
+    n_members_most: int = 10
+    n_members_ablation: int = 2
+    left_out: tuple[str, ...] = METHOD_NAMES
+    cutout_side: float = 0.5
+    mixup_alpha: float = 0.4
+    first_seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sizes", tuple(self.sizes))
+        object.__setattr__(self, "left_out", tuple(self.left_out))
+        if not self.sizes or list(self.sizes) != sorted(set(self.sizes)) or self.sizes[0] < 1:
+            raise SettingsError(f"sizes must be positive and rising, got {self.sizes}")
+        if not 1 <= self.n_members <= self.n_members_most:
+            raise SettingsError(
+                f"n_members must lie in 1..n_members_most ({self.n_members_most}), got {self.n_members}"
+            )
+        if not 1 <= self.n_members_ablation <= self.n_members:
+            raise SettingsError(
+                f"n_members_ablation must lie in 1..n_members ({self.n_members}), got {self.n_members_ablation}"
+            )
+        if self.first_seed < 0:
+            raise SettingsError(f"first_seed must not be negative, got {self.first_seed}")
+        self.cells()
+
+    @property
+    def largest(self) -> Cell:
+        """Our scheme at the largest size: the ensemble of Table III, and what the ablation is compared with."""
+        return Cell("ours", self.sizes[-1], self.n_members_most)
+
+    def schemes(self) -> tuple[Cell, ...]:
+        """Cells of Tables I and II, in the order of the paper."""
+        return tuple(
+            self.largest if (scheme, n_images) == ("ours", self.sizes[-1]) else Cell(scheme, n_images, self.n_members)
+            for n_images in self.sizes
+            for scheme in SCHEMES
+        )
+
+    def ablation(self) -> tuple[Cell, ...]:
+        """Our scheme with one method left out."""
+        return tuple(Cell("ours", self.sizes[-1], self.n_members_ablation, method) for method in self.left_out)
+
+    def cells(self) -> tuple[Cell, ...]:
+        """All cells, in the order in which to work: ours first, the largest sets first, the ablation last."""
+        schemes = sorted(self.schemes(), key=lambda cell: (cell.scheme != "ours", -cell.n_images))
+        return (*schemes, *self.ablation())
