@@ -1,0 +1,63 @@
+"""Surfaces made of noise, so that no download is needed: plain, wood, stone, woven, tiles."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from generator.noise import fractal_noise, smoothstep, value_noise
+
+__all__ = ["TEXTURES", "procedural_texture"]
+
+Array = NDArray[np.float64]
+SIZE = 256
+
+
+def _grid() -> Array:
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    return np.column_stack([rows.ravel(), columns.ravel(), np.zeros(SIZE * SIZE)]).astype(float)
+
+
+def _plain(points: Array, seed: int) -> Array:
+    return 1 + 0.035 * fractal_noise(points / 60, seed, 4) + 0.02 * value_noise(points * [0.12, 1.1, 1], seed + 7)
+
+
+def _wood(points: Array, seed: int) -> Array:
+    bent = points[:, 0] / 9 + 2.5 * fractal_noise(points * [0.02, 0.006, 1], seed, 3)
+    rings = 0.5 + 0.5 * np.sin(2 * np.pi * bent)
+    pores = value_noise(points * [0.7, 0.03, 1], seed + 5)
+    return 0.72 + 0.25 * rings + 0.12 * pores
+
+
+def _stone(points: Array, seed: int) -> Array:
+    grains = smoothstep(-0.3, 0.4, value_noise(points / 4, seed)) * smoothstep(
+        -0.5, 0.3, value_noise(points / 9, seed + 1)
+    )
+    return 0.45 + 0.5 * grains + 0.15 * fractal_noise(points / 30, seed + 2)
+
+
+def _woven(points: Array, seed: int) -> Array:
+    threads = np.sin(points[:, 0] * 0.7) * np.sin(points[:, 1] * 0.7)
+    return 0.8 + 0.18 * threads + 0.08 * fractal_noise(points / 20, seed) + 0.06 * value_noise(points, seed + 3)
+
+
+def _tiles(points: Array, seed: int) -> Array:
+    size = 48
+    joint = np.minimum(points[:, 0] % size, points[:, 1] % size)
+    each = value_noise(np.floor(points / size) * 7.3 + 0.5, seed)
+    return (0.85 + 0.12 * each + 0.05 * fractal_noise(points / 15, seed)) * (0.45 + 0.55 * smoothstep(0.5, 2, joint))
+
+
+TEXTURES: dict[str, Callable[[Array, int], Array]] = {
+    "plain": _plain,
+    "wood": _wood,
+    "stone": _stone,
+    "woven": _woven,
+    "tiles": _tiles,
+}
+
+
+def procedural_texture(kind: str, colour: ArrayLike, seed: int) -> Array:
+    """(256, 256, 3) linear texture of a kind in ``TEXTURES`` around a linear colour (3,)."""
+    shade = TEXTURES[kind](_grid(), seed).reshape(SIZE, SIZE, 1)
+    return np.clip(np.asarray(colour) * shade, 0.005, 0.95)
