@@ -33,10 +33,10 @@ def reliability_figure(report: CalibrationReport) -> Figure:
     bottom_right = figure.add_subplot(grid[1, 1], sharex=top_right)
     _draw_confidence(top_left, report)
     edges = np.array(CONFIDENCE_EDGES)
-    _draw_counts(bottom_left, edges, report.ensembles[-1].reliability.count, "Confidence")
+    _draw_counts(bottom_left, edges, report.final.predictor.reliability.count, "Confidence")
     _draw_safety(top_right, report)
     edges = np.array([_SMALLEST_P, *DELTA_GRID, 1.0])
-    _draw_counts(bottom_right, edges, report.safety.count, "$p_\\mathrm{occupied}$  $(= 1 - p_\\mathrm{free})$")
+    _draw_counts(bottom_right, edges, report.final.safety.count, "$p_\\mathrm{occupied}$  $(= 1 - p_\\mathrm{free})$")
     for axes in (top_left, top_right):
         axes.tick_params(labelbottom=False)
     return figure
@@ -50,9 +50,13 @@ def _draw_confidence(axes: Axes, report: CalibrationReport) -> None:
         if 1 < m < report.n_members:
             curve = report.ensembles[m - 1].reliability
             _line(axes, curve, color=_SIZE_COLOURS[m], lw=1.6, label=f"$M = {m}$", zorder=3)
-    final = report.ensembles[-1].reliability
-    colour = _SIZE_COLOURS.get(report.n_members, _BLUE)
-    _line(axes, final, color=colour, lw=2.2, marker="o", ms=4, label=f"$M = {report.n_members}$", zorder=4)
+    final, colour = report.final.predictor.reliability, _SIZE_COLOURS.get(report.n_members, _BLUE)
+    label = f"$M = {report.n_members}$"
+    if report.final is not report.as_it_is:
+        raw = report.ensembles[-1].reliability
+        _line(axes, raw, color=colour, lw=1.6, ls=":", marker="o", ms=3, label=f"{label}, $T = 1$", zorder=3)
+        label += f", $T = {report.final.temperature:.2f}$"
+    _line(axes, final, color=colour, lw=2.2, marker="o", ms=4, label=label, zorder=4)
     _band(axes, final, colour)
     seen = [value for value in (*final.observed, *final.low) if value is not None]
     members = [v for m in report.members for v in m.reliability.observed if v is not None]
@@ -63,7 +67,7 @@ def _draw_confidence(axes: Axes, report: CalibrationReport) -> None:
 
 
 def _draw_safety(axes: Axes, report: CalibrationReport) -> None:
-    curve = report.safety
+    curve = report.final.safety
     stated = np.array([np.nan if value is None else max(value, _SMALLEST_P) for value in curve.stated])
     observed = np.array([np.nan if value is None else value for value in curve.observed])
     positive = observed[observed > 0]
@@ -97,8 +101,8 @@ def _draw_safety(axes: Axes, report: CalibrationReport) -> None:
             label="Never occupied",
             clip_on=False,
         )
-    deltas = np.array([row.delta for row in report.support])
-    bounds = np.array([row.upper_bound for row in report.support])
+    deltas = np.array([row.delta for row in report.final.support])
+    bounds = np.array([row.upper_bound for row in report.final.support])
     axes.plot(
         deltas,
         bounds,

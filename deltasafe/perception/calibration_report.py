@@ -1,23 +1,25 @@
 """Everything that the test images say about an ensemble, as plain figures; the gate before the freeze."""
 
 import dataclasses
+import itertools
 import pathlib
-import types
 import typing
-from typing import Any
 
 from deltasafe.errors import DataError, SettingsError
-from deltasafe.perception.calibration import Calibration, DeltaSupport, smallest_supported_delta
+from deltasafe.perception.calibration import Calibration, DeltaSupport, HeldOutDelta, smallest_supported_delta
+from deltasafe.perception.calibration_error import CalibrationErrors
 from deltasafe.perception.metrics import ImageScores, MeanAndSd, Scores
-from deltasafe.perception.reliability import Curve
+from deltasafe.perception.records import from_json
+from deltasafe.perception.reliability import DELTA_GRID, Curve
+from deltasafe.perception.risk_control import RiskControl
 from deltasafe.storage import read_json
 
 __all__ = [
     "CalibrationReport",
     "CalibrationSettings",
     "GateThresholds",
+    "Judgement",
     "Predictor",
-    "RecalibrationResult",
     "gate",
 ]
 
@@ -31,16 +33,23 @@ class CalibrationSettings:
     Attributes:
         n_bootstrap: bootstrap samples of the images.
         level: coverage of intervals (two-sided) and confidence of the supported delta (one-sided).
-        n_folds: folds over images for the temperature; 0 leaves one image out at a time.
+        n_folds: folds over images, of which each is judged by a fit on the others; 0 leaves one image out at a time.
         seed: of the bootstrap.
+        recalibrate: the ensemble is used and frozen with the temperature; without it, as it is.
+        missed_hand_alpha: largest expected share of a hand with p_occupied up to the threshold that conformal risk
+            control is to find.
     """
 
     n_bootstrap: int = 2000
     level: float = 0.95
     n_folds: int = 0
     seed: int = 0
+    recalibrate: bool = True
+    missed_hand_alpha: float = 0.05
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.missed_hand_alpha < 1.0:
+            raise SettingsError(f"missed_hand_alpha must lie in (0, 1), got {self.missed_hand_alpha}")
         if self.n_bootstrap < 100:
             raise SettingsError(f"n_bootstrap must be at least 100 for a 95 % bound, got {self.n_bootstrap}")
         if not 0.5 < self.level < 1.0:
@@ -57,7 +66,7 @@ class Predictor:
         images: (N,) scores per image.
         scores: PA, mIoU, BS, NLL over all images.
         low, high: their intervals, by bootstrap over images.
-        expected_calibration_error: over ten bins on [0.5, 1].
+        errors: gaps between confidence and accuracy.
         reliability: the paper's diagram, with intervals.
     """
 
@@ -65,27 +74,44 @@ class Predictor:
     scores: Scores
     low: Scores
     high: Scores
-    expected_calibration_error: float
+    errors: CalibrationErrors
     reliability: Curve
+
+    @property
+    def expected_calibration_error(self) -> float:
+        return self.errors.expected
 
 
 @dataclasses.dataclass(frozen=True)
-class RecalibrationResult:
-    """What a temperature would change.
+class Judgement:
+    """The whole ensemble at one temperature, on images that the temperature has not seen.
 
     Attributes:
-        temperature: fitted on all images, for use on further ones.
-        lowest, highest: range of the temperatures fitted without the image (or fold) that they are judged on.
-        scores, expected_calibration_error, smallest_supported_delta: with those temperatures, each image
-            judged with the one that has not seen it.
+        temperature: fitted on all calibration images, for use on further ones; 1 if there is none.
+        lowest, highest: range of the temperatures that the images were judged with.
+        predictor: scores and errors.
+        hand, background: reliability of the pixels that are predicted as hand, and as background.
+        safety: how often a pixel is occupied per bin of p_occupied (bounds in ``DELTA_GRID``), with intervals.
+        support: what the calibration images say about each delta.
+        held_out_delta: the smallest supported delta on images it was not fitted on; None for a single image.
+        taken_for_free: for each image the share of its hand's pixels with p_occupied <= delta, delta in
+            ``DELTA_GRID``; None for an image without a hand.
     """
 
     temperature: float
     lowest: float
     highest: float
-    scores: Scores
-    expected_calibration_error: float
-    smallest_supported_delta: float | None
+    predictor: Predictor
+    hand: Curve
+    background: Curve
+    safety: Curve
+    support: tuple[DeltaSupport, ...]
+    held_out_delta: HeldOutDelta | None
+    taken_for_free: tuple[tuple[float, ...] | None, ...]
+
+    @property
+    def smallest_supported_delta(self) -> float | None:
+        return smallest_supported_delta(self.support)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,31 +120,50 @@ class CalibrationReport:
 
     Attributes:
         settings: how it was computed.
-        image_ids: (N,) names of the images.
-        members: (M,) each member alone.
+        image_ids: (N,) names of the images that it judges.
+        calibration_image_ids: further images, on which temperature, delta and threshold were fitted; none if they
+            were fitted and judged on the N images in turn (cross-fitting).
+        members: (M,) each member alone, as it is.
         member_mean: mean and standard deviation over members.
-        ensembles: (M,) mean of the first 1, 2, .., M members.
-        safety: how often a pixel is occupied per bin of p_occupied (bounds in ``DELTA_GRID``), with
-            intervals.
-        support: what the data says about each delta.
-        recalibration: effect of a temperature; None for a single image.
+        ensembles: (M,) mean of the first 1, 2, .., M members, as it is.
+        as_it_is: the whole ensemble, T = 1.
+        recalibrated: the whole ensemble with a temperature; None for a single image.
+        risk: thresholds by conformal risk control, for p_occupied as it is used.
         format_version: of the stored form.
     """
 
     settings: CalibrationSettings
     image_ids: tuple[str, ...]
+    calibration_image_ids: tuple[str, ...]
     members: tuple[Predictor, ...]
     member_mean: MeanAndSd
     ensembles: tuple[Predictor, ...]
-    safety: Curve
-    support: tuple[DeltaSupport, ...]
-    recalibration: RecalibrationResult | None
+    as_it_is: Judgement
+    recalibrated: Judgement | None
+    risk: tuple[RiskControl, ...]
     format_version: int = FORMAT_VERSION
 
     @property
+    def final(self) -> Judgement:
+        """The whole ensemble as it will be used: recalibrated, if settings and images allow it."""
+        if self.settings.recalibrate and self.recalibrated is not None:
+            return self.recalibrated
+        return self.as_it_is
+
+    @property
+    def n_calibration_images(self) -> int:
+        """Images that temperature, delta and threshold were fitted on."""
+        return len(self.calibration_image_ids or self.image_ids)
+
+    @property
+    def risk_control(self) -> RiskControl:
+        """The threshold for the alpha of the settings."""
+        return next(row for row in self.risk if row.alpha == self.settings.missed_hand_alpha)
+
+    @property
     def images(self) -> tuple[ImageScores, ...]:
-        """(N,) scores of the whole ensemble per image."""
-        return self.ensembles[-1].images
+        """(N,) scores of the whole ensemble, as it will be used, per image."""
+        return self.final.predictor.images
 
     @property
     def n_members(self) -> int:
@@ -135,7 +180,7 @@ class CalibrationReport:
 
     @property
     def smallest_supported_delta(self) -> float | None:
-        return smallest_supported_delta(self.support)
+        return self.final.smallest_supported_delta
 
     @property
     def worst_first(self) -> tuple[int, ...]:
@@ -143,9 +188,28 @@ class CalibrationReport:
         return tuple(sorted(range(len(self.images)), key=lambda i: (self.images[i].miou, self.image_ids[i])))
 
     @property
+    def most_missed_first(self) -> tuple[int, ...]:
+        """Indices of the images with a hand by falling share that is missed (p_occupied < 0.5), ties by name."""
+        missed = [(i, image.missed_hand_rate) for i, image in enumerate(self.images)]
+        rates = {i: rate for i, rate in missed if rate is not None}
+        return tuple(sorted(rates, key=lambda i: (-rates[i], self.image_ids[i])))
+
+    def worst_examples(self, n_examples: int, delta: float) -> tuple[int, ...]:
+        """Indices of images to look at: worst by mIoU, by missed hand, and by hand taken for free at ``delta``.
+
+        The three rankings take turns, so that no way to fail is left out.
+        """
+        column = min((k for k, value in enumerate(DELTA_GRID) if value >= delta), default=len(DELTA_GRID) - 1)
+        taken = {i: shares[column] for i, shares in enumerate(self.final.taken_for_free) if shares is not None}
+        most_taken = sorted(taken, key=lambda i: (-taken[i], self.image_ids[i]))
+        turns = itertools.zip_longest(self.worst_first, self.most_missed_first, most_taken)
+        chosen = dict.fromkeys(i for turn in turns for i in turn if i is not None)
+        return tuple(chosen)[:n_examples]
+
+    @property
     def calibration(self) -> Calibration:
-        """What is stored with the frozen ensemble and asked before planning; temperature 1, as certified."""
-        final = self.ensembles[-1]
+        """What is stored with the frozen ensemble and asked before planning."""
+        final, risk = self.final.predictor, self.risk_control
         return Calibration(
             n_images=len(self.images),
             n_members=self.n_members,
@@ -156,19 +220,27 @@ class CalibrationReport:
             expected_calibration_error=final.expected_calibration_error,
             smallest_supported_delta=self.smallest_supported_delta,
             level=self.settings.level,
+            temperature=self.final.temperature,
+            n_calibration_images=self.n_calibration_images,
+            missed_hand_alpha=risk.alpha,
+            missed_hand_threshold=risk.threshold,
         )
 
     def figures(self) -> dict[str, float]:
         """The figures of the whole ensemble by short name, for trackers and tables."""
-        final, supported = self.ensembles[-1], self.smallest_supported_delta
+        final, supported, risk = self.final.predictor, self.smallest_supported_delta, self.risk_control
         return {
             "pa": final.scores.pixel_accuracy,
             "miou": final.scores.miou,
             "nll": final.scores.nll,
             "bs": final.scores.brier,
             "ece": final.expected_calibration_error,
+            "ece_adaptive": final.errors.adaptive,
+            "calibration_error_signed": final.errors.signed,
+            "temperature": self.final.temperature,
             "n_members": self.n_members,
             **({} if supported is None else {"smallest_supported_delta": supported}),
+            **({} if risk.threshold is None else {"missed_hand_threshold": risk.threshold}),
         }
 
     @classmethod
@@ -184,7 +256,7 @@ class CalibrationReport:
         if version != FORMAT_VERSION:
             raise DataError(path, f"has format version {version}, this release reads {FORMAT_VERSION}; calibrate again")
         try:
-            return typing.cast(CalibrationReport, _from_json(cls, value))
+            return typing.cast(CalibrationReport, from_json(cls, value))
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(path, f"is not a calibration report ({error}); calibrate again") from error
 
@@ -213,7 +285,7 @@ class GateThresholds:
 
 def gate(report: CalibrationReport, thresholds: GateThresholds) -> list[str]:
     """What keeps the ensemble from being frozen: one sentence a failure, none if it may pass."""
-    scores = report.ensembles[-1].scores
+    scores = report.final.predictor.scores
     failures = [
         f"{name} is {value:.4f} and must be at least {least:g}"
         for name, value, least in (
@@ -234,22 +306,3 @@ def gate(report: CalibrationReport, thresholds: GateThresholds) -> list[str]:
         if image.missed_hand_rate is not None and image.missed_hand_rate > thresholds.missed_hand_rate
     ]
     return failures
-
-
-def _from_json(kind: Any, value: Any) -> Any:
-    """Rebuild the frozen dataclass, tuple or scalar ``kind`` from its JSON form; unknown keys are refused."""
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin is types.UnionType:
-        return None if value is None else _from_json(arguments[0], value)
-    if origin is tuple:
-        return tuple(_from_json(arguments[0], item) for item in value)
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        hints = typing.get_type_hints(kind)
-        unknown = sorted(set(value) - set(hints))
-        if unknown:
-            raise ValueError(f"{kind.__name__} has no {', '.join(unknown)}")
-        return kind(**{name: _from_json(hints[name], item) for name, item in value.items()})
-    accepted = (int, float) if kind is float else (kind,)
-    if type(value) not in accepted:
-        raise ValueError(f"expected {kind.__name__}, got {value!r}")
-    return kind(value)

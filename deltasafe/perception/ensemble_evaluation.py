@@ -6,13 +6,14 @@ import pathlib
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.errors import SettingsError
+from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.artifact import freeze_ensemble
 from deltasafe.perception.calibration_report import CalibrationReport, CalibrationSettings
 from deltasafe.perception.calibration_writing import write_calibration_report
 from deltasafe.perception.ensemble import Ensemble
 from deltasafe.perception.evaluation import calibrate
-from deltasafe.perception.hands import HandSet
+from deltasafe.perception.hands import HandSet, check_disjoint
+from deltasafe.perception.labelled_predictions import LabelledPredictions
 from deltasafe.perception.member import Member
 from deltasafe.perception.predictions import MemberPredictions
 from deltasafe.perception.settings import InferenceSettings
@@ -33,38 +34,45 @@ def evaluate_members(
     planning_delta: float,
     device: str = "auto",
     progress: Progress = silent,
+    calibration: HandSet | None = None,
 ) -> CalibrationReport:
     """Predict ``test`` once with every member, judge members and ensembles of growing size, write the report.
 
     Args:
+        test: labelled images that no training has seen.
         folder: gets the report; what every member thinks of every image lies beside it in ``FOLDER-predictions``.
         inference: resolution; kept in the folder, so that the ensemble is frozen as it was judged.
         planning_delta: hand with p_occupied up to it is shown as what a planner would drive through.
+        calibration: further labelled images, to fit temperature, delta and threshold on (their predictions lie in
+            ``FOLDER-calibration-predictions``); without them the test images are cross-fitted.
 
     Raises:
         SettingsError: the members do not belong together.
+        DataError: an image is in both sets.
     """
     if len({member.ensemble_identity for member in members}) > 1:
         raise SettingsError(
             "the members were trained on different data or with different settings; train all of them again"
         )
+    if calibration is not None:
+        try:
+            check_disjoint(calibration, test)
+        except DataError as error:
+            raise DataError(error.path, "is a calibration image as well; remove it from one of the two sets") from error
     ensemble = Ensemble([member.network() for member in members], inference, str(pick_device(device)))
+    judged = _predicted(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
+    fitted = None
+    if calibration is not None:
+        destination = folder.with_name(f"{folder.name}-calibration-predictions")
+        fitted = _predicted(ensemble, calibration, destination, progress)
+    report = calibrate(judged.image_ids, judged.labels, judged.predictions, settings, progress, fitted)
     position = {item.id: index for index, item in enumerate(test.items)}
-    images, labels = zip(*(test.read(index) for index in range(len(test))), strict=True)
-    predictions = MemberPredictions.write(
-        folder.with_name(f"{folder.name}-predictions"),
-        list(position),
-        lambda image_id: ensemble.member_p_occupied(images[position[image_id]]),
-        progress,
-    )
-    masks = [label.astype(bool) for label in labels]
-    report = calibrate(list(position), masks, predictions, settings, progress)
     write_calibration_report(
         folder,
         report,
-        labels=masks,
-        predictions=predictions,
-        load_image=lambda image_id: images[position[image_id]],
+        labels=judged.labels,
+        predictions=judged.predictions,
+        load_image=lambda image_id: test.read(position[image_id])[0],
         planning_delta=planning_delta,
     )
     write_json(
@@ -73,6 +81,7 @@ def evaluate_members(
             "members": [member.record["weights_sha256"] for member in members],
             "inference": dataclasses.asdict(inference),
             "test_digest": test.digest,
+            **({} if calibration is None else {"calibration_digest": calibration.digest}),
         },
     )
     return report
@@ -98,5 +107,20 @@ def freeze_evaluated(
         CalibrationReport.load(report_folder).calibration,
         golden_rgb,
         parent,
-        {"test_images": judged["test_digest"]},
+        {
+            "test_images": judged["test_digest"],
+            **({"calibration_images": judged["calibration_digest"]} if "calibration_digest" in judged else {}),
+        },
     )
+
+
+def _predicted(ensemble: Ensemble, hands: HandSet, folder: pathlib.Path, progress: Progress) -> LabelledPredictions:
+    position = {item.id: index for index, item in enumerate(hands.items)}
+    predictions = MemberPredictions.write(
+        folder,
+        list(position),
+        lambda image_id: ensemble.member_p_occupied(hands.read(position[image_id])[0]),
+        progress,
+    )
+    labels = [hands.read(index)[1].astype(bool) for index in range(len(hands))]
+    return LabelledPredictions(list(position), labels, predictions)

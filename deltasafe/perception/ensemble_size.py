@@ -9,6 +9,7 @@ import dataclasses
 import numpy as np
 
 from deltasafe.perception.calibration_report import CalibrationReport
+from deltasafe.perception.markdown import table
 from deltasafe.perception.metrics import Scores, bootstrap_scores, percentile_interval
 from deltasafe.perception.paper_results import ENSEMBLE_SIZE_RESULTS
 from deltasafe.perception.reliability import bootstrap_weights
@@ -72,9 +73,9 @@ def ensemble_size_table(report: CalibrationReport) -> str:
     """Table III as Markdown in the paper's units (BS x 10^3, NLL x 10^2), with intervals, beside the paper's."""
     level = f"{report.settings.level:.0%} interval"
     head = ("M", "BS x 10³", level, "Paper", "NLL x 10²", level, "Paper", "PA", "mIoU", "BS against M = 1", "NLL")
-    lines = [head, ("---",) * len(head)]
+    rows = []
     for row in ensemble_size_rows(report):
-        lines.append(
+        rows.append(
             (
                 f"{row.n_members}",
                 f"**{1e3 * row.scores.brier:.1f}**",
@@ -95,4 +96,4 @@ def ensemble_size_table(report: CalibrationReport) -> str:
                 ),
             )
         )
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return table(head, rows)

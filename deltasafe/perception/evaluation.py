@@ -1,53 +1,39 @@
 """From the members' predictions on labelled images to a calibration report.
 
 Images are visited one after another; every figure is computed from sums per image, so that memory does not
-grow with their number, and intervals come from drawing images.
+grow with their pixels, and intervals come from drawing images.
+
+What is fitted (temperature, smallest supported delta, conformal threshold) is judged on images that the fit has not
+seen: on the test images if there are calibration images beside them, otherwise fold by fold (cross-fitting).
 """
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.perception.calibration import DeltaSupport, delta_support, smallest_supported_delta
-from deltasafe.perception.calibration_report import (
-    CalibrationReport,
-    CalibrationSettings,
-    Predictor,
-    RecalibrationResult,
-)
-from deltasafe.perception.metrics import (
-    ImageScores,
-    bootstrap_scores,
-    mean_and_sd,
-    percentile_interval,
-    pool_scores,
-    require_label,
-    require_p_occupied,
-    score_image,
-)
+from deltasafe.perception.calibration import HeldOutDelta, delta_support, held_out_support
+from deltasafe.perception.calibration_report import CalibrationReport, CalibrationSettings, Judgement
+from deltasafe.perception.labelled_predictions import LabelledPredictions
+from deltasafe.perception.metrics import mean_and_sd
 from deltasafe.perception.recalibration import (
-    LogitCounts,
     apply_temperature,
     cross_fitted_temperatures,
     fit_temperature,
-    logit_counts,
+    folds_of,
     stack_logit_counts,
 )
-from deltasafe.perception.reliability import (
-    BinCounts,
-    bootstrap_weights,
-    confidence_counts,
-    curve,
-    expected_calibration_error,
-    safety_counts,
-    stack_counts,
-)
+from deltasafe.perception.reliability import BinCounts, bootstrap_weights, curve, safety_counts, stack_counts
+from deltasafe.perception.risk_control import RiskControl, control_risk
+from deltasafe.perception.tallies import FitTally, Tally, WholeTally
 from deltasafe.progress import Progress, silent
 
 __all__ = ["calibrate"]
+
+_ALPHAS = (0.02, 0.03, 0.05, 0.1)
 
 
 def calibrate(
@@ -56,133 +42,144 @@ def calibrate(
     predictions: Sequence[NDArray[np.floating]],
     settings: CalibrationSettings | None = None,
     progress: Progress = silent,
+    calibration: LabelledPredictions | None = None,
 ) -> CalibrationReport:
     """Judge an ensemble and its members on labelled images.
 
     Args:
-        image_ids: N unique names.
-        labels: N masks (H, W), bool or 0/255; sizes may differ between images.
-        predictions: N arrays (M, H, W) of the members' p_occupied; read one at a time (`MemberPredictions`).
+        image_ids, labels, predictions: of the images to judge on, see `LabelledPredictions`.
+        calibration: further images of the same members, to fit temperature, delta and threshold on; without them
+            each fold of the images is judged by fits on the others.
 
     Raises:
         SettingsError: nothing to judge on, numbers that do not match, or values that are no masks or
             probabilities.
     """
     settings = settings or CalibrationSettings()
-    n_images = len(image_ids)
-    if not n_images == len(labels) == len(predictions) or n_images == 0:
-        raise SettingsError(
-            f"one label and one prediction an image are needed, got {n_images} ids, {len(labels)} labels, "
-            f"{len(predictions)} predictions"
-        )
-    if len(set(image_ids)) != n_images:
-        raise SettingsError("image_ids must be unique")
-    if 1 < n_images < settings.n_folds:
-        raise SettingsError(f"n_folds is {settings.n_folds}, but there are {n_images} images")
-    passes = 2 if n_images > 1 else 1
-    members: list[_Tally] = []
-    ensembles: list[_Tally] = []
-    safety, logits = [], []
-    for index, image_id in enumerate(image_ids):
-        label, stack = _checked(image_id, labels[index], predictions[index], len(members))
-        members = members or [_Tally() for _ in stack]
-        ensembles = ensembles or [_Tally() for _ in stack]
+    judged = LabelledPredictions(image_ids, labels, predictions)
+    n_images, n_fitted = len(judged), len(calibration or judged)
+    if 1 < n_fitted < settings.n_folds:
+        raise SettingsError(f"n_folds is {settings.n_folds}, but there are {n_fitted} images")
+    n_steps = 2 * n_images + (0 if calibration is None else 2 * n_fitted)
+    members: list[Tally] = []
+    ensembles: list[Tally] = []
+    whole, fit = WholeTally(), FitTally()
+    for index, (label, stack) in enumerate(judged.checked()):
+        members = members or [Tally() for _ in stack]
+        ensembles = ensembles or [Tally() for _ in stack]
         total = np.zeros(label.shape)
         for m, p_member in enumerate(stack):
             total += p_member
-            p_mean = total / (m + 1)
             members[m].add(p_member, label)
-            ensembles[m].add(p_mean, label)
-        safety.append(safety_counts(p_mean, label))
-        logits.append(logit_counts(p_mean, label))
-        progress(index + 1, passes * n_images, f"judged {image_id}")
+            if m + 1 < len(stack):
+                ensembles[m].add(total / (m + 1), label)
+        whole.add(total / len(stack), label)
+        fit.add(total / len(stack), label)
+        progress(index + 1, n_steps, f"judged {image_ids[index]}")
+    ensembles[-1] = whole.tally
 
     weights = bootstrap_weights(n_images, settings.n_bootstrap, settings.seed)
-    safety_all = stack_counts(safety)
+    judge = _Judge(judged, calibration, weights, settings)
+    test_shares = fit.missed_shares
+    if calibration is not None:
+        fit = FitTally()
+        for index, _ in enumerate(calibration.checked(len(members))):
+            label, p_mean = calibration.pooled(index)
+            fit.add(p_mean, label)
+            progress(n_images + index + 1, n_steps, f"calibrated on {calibration.image_ids[index]}")
+    as_it_is = judge.judgement(whole, 1.0, np.ones(n_images), stack_counts(fit.safety))
+    recalibrated = None
+    if n_fitted > 1:
+        logits = stack_logit_counts(fit.logits)
+        temperature = fit_temperature(logits)
+        unseen = cross_fitted_temperatures(logits, settings.n_folds or None)
+        applied = unseen if calibration is None else np.full(n_images, temperature)
+        again = WholeTally()
+        for index in range(n_images):
+            label, p_mean = judged.pooled(index)
+            again.add(apply_temperature(p_mean, applied[index]), label)
+            progress(n_steps - n_images + index + 1, n_steps, f"recalibrated {image_ids[index]}")
+        safety = stack_counts(again.safety if calibration is None else _safety(calibration, unseen))
+        recalibrated = judge.judgement(again, temperature, applied, safety)
+    used = recalibrated.temperature if settings.recalibrate and recalibrated is not None else 1.0
     member_results = tuple(member.result(weights, settings.level) for member in members)
-    recalibration = None
-    if n_images > 1:
-        recalibration = _recalibrated(labels, predictions, stack_logit_counts(logits), weights, settings, progress)
     return CalibrationReport(
         settings=settings,
         image_ids=tuple(image_ids),
+        calibration_image_ids=() if calibration is None else tuple(calibration.image_ids),
         members=member_results,
         member_mean=mean_and_sd([member.scores for member in member_results]),
         ensembles=tuple(ensemble.result(weights, settings.level) for ensemble in ensembles),
-        safety=curve(safety_all, weights, settings.level),
-        support=_support(safety_all, settings),
-        recalibration=recalibration,
+        as_it_is=as_it_is,
+        recalibrated=recalibrated,
+        risk=_risk(fit.missed_shares, None if calibration is None else test_shares, used, settings),
     )
 
 
-@dataclasses.dataclass
-class _Tally:
-    """Sums of one predictor, image by image."""
+@dataclasses.dataclass(frozen=True)
+class _Judge:
+    judged: LabelledPredictions
+    calibration: LabelledPredictions | None
+    weights: NDArray[np.int64]
+    settings: CalibrationSettings
 
-    scores: list[ImageScores] = dataclasses.field(default_factory=list)
-    confidence: list[BinCounts] = dataclasses.field(default_factory=list)
-
-    def add(self, p_occupied: NDArray[np.floating], label: NDArray[np.bool_]) -> None:
-        self.scores.append(score_image(p_occupied, label))
-        self.confidence.append(confidence_counts(p_occupied, label))
-
-    def result(self, weights: NDArray[np.int64], level: float) -> Predictor:
-        counts = stack_counts(self.confidence)
-        low, high = percentile_interval(bootstrap_scores(self.scores, weights), level)
-        return Predictor(
-            images=tuple(self.scores),
-            scores=pool_scores(self.scores),
-            low=low,
-            high=high,
-            expected_calibration_error=expected_calibration_error(counts),
-            reliability=curve(counts, weights, level),
+    def judgement(
+        self, whole: WholeTally, temperature: float, applied: NDArray[np.float64], fitted_on: BinCounts
+    ) -> Judgement:
+        """``fitted_on``: safety counts of the calibration images, at temperatures that have not seen them."""
+        level = self.settings.level
+        safety = stack_counts(whole.safety)
+        hand = [image.n_hand_pixels for image in whole.tally.scores]
+        missed = np.cumsum(safety.event, axis=1)[:, :-1]
+        return Judgement(
+            temperature=temperature,
+            lowest=float(applied.min()),
+            highest=float(applied.max()),
+            predictor=whole.tally.result(self.weights, level),
+            hand=curve(stack_counts(whole.hand), self.weights, level),
+            background=curve(stack_counts(whole.background), self.weights, level),
+            safety=curve(safety, self.weights, level),
+            support=delta_support(fitted_on, **self._bootstrap),
+            held_out_delta=self._held_out(safety, fitted_on),
+            taken_for_free=tuple(tuple((row / n).tolist()) if n else None for row, n in zip(missed, hand, strict=True)),
         )
 
+    @property
+    def _bootstrap(self) -> dict[str, Any]:
+        return {
+            "n_bootstrap": self.settings.n_bootstrap,
+            "level": self.settings.level,
+            "seed": self.settings.seed,
+        }
 
-def _checked(
-    image_id: str, label: NDArray[np.generic], stack: NDArray[np.floating], n_members: int
-) -> tuple[NDArray[np.bool_], NDArray[np.floating]]:
-    try:
-        occupied = require_label(label)
-        if np.ndim(stack) != 3 or len(stack) == 0 or n_members not in (0, len(stack)):
-            raise SettingsError(
-                f"predictions must have shape (M, H, W), M the same in all images, got {np.shape(stack)}"
-            )
-        require_p_occupied(stack[0], occupied.shape)
-        require_p_occupied(stack)
-    except SettingsError as error:
-        raise SettingsError(f"{image_id}: {error}") from error
-    return occupied, stack
+    def _held_out(self, safety: BinCounts, fitted_on: BinCounts) -> HeldOutDelta | None:
+        everything = np.arange(len(self.judged))
+        if self.calibration is not None:
+            return held_out_support(safety, [fitted_on], [everything], **self._bootstrap)
+        if len(everything) == 1:
+            return None
+        fold = folds_of(len(everything), self.settings.n_folds or None)
+        parts = [np.nonzero(fold == k)[0] for k in range(fold.max() + 1)]
+        others = [safety.take(np.setdiff1d(everything, part)) for part in parts]
+        return held_out_support(safety, others, parts, **self._bootstrap)
 
 
-def _recalibrated(
-    labels: Sequence[NDArray[np.generic]],
-    predictions: Sequence[NDArray[np.floating]],
-    counts: LogitCounts,
-    weights: NDArray[np.int64],
-    settings: CalibrationSettings,
-    progress: Progress,
-) -> RecalibrationResult:
-    unseen = cross_fitted_temperatures(counts, settings.n_folds or None)
-    n_images = len(unseen)
-    tally, safety = _Tally(), []
-    for index, temperature in enumerate(unseen.tolist()):
-        occupied = require_label(labels[index])
-        p_mean = np.asarray(predictions[index], dtype=np.float64).mean(axis=0)
-        p_occupied = apply_temperature(p_mean, temperature)
-        tally.add(p_occupied, occupied)
-        safety.append(safety_counts(p_occupied, occupied))
-        progress(n_images + index + 1, 2 * n_images, f"recalibrated image {index + 1} of {n_images}")
-    result = tally.result(weights, settings.level)
-    return RecalibrationResult(
-        temperature=fit_temperature(counts),
-        lowest=float(unseen.min()),
-        highest=float(unseen.max()),
-        scores=result.scores,
-        expected_calibration_error=result.expected_calibration_error,
-        smallest_supported_delta=smallest_supported_delta(_support(stack_counts(safety), settings)),
+def _safety(labelled: LabelledPredictions, temperatures: NDArray[np.float64]) -> list[BinCounts]:
+    pooled = (labelled.pooled(index) for index in range(len(labelled)))
+    return [
+        safety_counts(apply_temperature(p_mean, temperature), label)
+        for (label, p_mean), temperature in zip(pooled, temperatures, strict=True)
+    ]
+
+
+def _risk(
+    shares: NDArray[np.float64], held_out: NDArray[np.float64] | None, temperature: float, settings: CalibrationSettings
+) -> tuple[RiskControl, ...]:
+    """Thresholds of the mean as it is, carried through the temperature."""
+    rows = [control_risk(shares, alpha, held_out) for alpha in sorted({*_ALPHAS, settings.missed_hand_alpha})]
+    return tuple(
+        row
+        if row.threshold is None
+        else dataclasses.replace(row, threshold=float(apply_temperature(np.array([row.threshold]), temperature).item()))
+        for row in rows
     )
-
-
-def _support(counts: BinCounts, settings: CalibrationSettings) -> tuple[DeltaSupport, ...]:
-    return delta_support(counts, n_bootstrap=settings.n_bootstrap, level=settings.level, seed=settings.seed)

@@ -1,8 +1,7 @@
 """Temperature of the pooled probability: logit(p_occupied) / T, with T fitted by NLL (Guo et al. 2017).
 
 Pool first, then calibrate (Rahaman and Thiery 2021): calibrating the members first leaves their mean
-under-confident. T = 1 remains the default for use; what a calibration certifies is the mean of the members as
-it is.
+under-confident.
 """
 
 import dataclasses
@@ -18,6 +17,7 @@ __all__ = [
     "apply_temperature",
     "cross_fitted_temperatures",
     "fit_temperature",
+    "folds_of",
     "logit_counts",
     "stack_logit_counts",
 ]
@@ -110,15 +110,23 @@ def cross_fitted_temperatures(counts: LogitCounts, n_folds: int | None = None) -
     Raises:
         SettingsError: fewer than two images, or folds that do not split them.
     """
-    n_images = len(counts.count)
+    fold = folds_of(len(counts.count), n_folds)
+    fitted = [fit_temperature(counts.without(np.nonzero(fold == k)[0])) for k in range(fold.max() + 1)]
+    return np.array(fitted)[fold]
+
+
+def folds_of(n_images: int, n_folds: int | None = None) -> NDArray[np.intp]:
+    """(N,) the fold of each image; by default every image is its own.
+
+    Raises:
+        SettingsError: fewer than two images, or folds that do not split them.
+    """
     n_folds = n_images if n_folds is None else n_folds
     if not 2 <= n_folds <= n_images:
         raise SettingsError(
             f"{n_images} images cannot be split into {n_folds} folds: at least 2 folds, and an image in each"
         )
-    fold = np.arange(n_images) % n_folds
-    fitted = [fit_temperature(counts.without(np.nonzero(fold == k)[0])) for k in range(n_folds)]
-    return np.array(fitted)[fold]
+    return np.arange(n_images) % n_folds
 
 
 def apply_temperature(p_occupied: NDArray[np.floating], temperature: float) -> NDArray[np.float64]:

@@ -20,9 +20,9 @@ __all__ = [
     "BinCounts",
     "Curve",
     "bootstrap_weights",
+    "class_counts",
     "confidence_counts",
     "curve",
-    "expected_calibration_error",
     "safety_counts",
     "stack_counts",
 ]
@@ -52,6 +52,10 @@ class BinCounts:
     count: NDArray[np.int64]
     p_sum: NDArray[np.float64]
     event: NDArray[np.int64]
+
+    def take(self, images: NDArray[np.intp]) -> "BinCounts":
+        """The counts of some of the images."""
+        return BinCounts(self.count[images], self.p_sum[images], self.event[images])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,6 +93,27 @@ def confidence_counts(p_occupied: NDArray[np.floating], label: NDArray[np.generi
     confidence = np.maximum(p, 1.0 - p)
     bins = np.searchsorted(CONFIDENCE_EDGES[1:-1], confidence, side="right")
     return _count(bins, confidence, (p >= 0.5) == occupied, len(CONFIDENCE_EDGES) - 1)
+
+
+def class_counts(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) -> tuple[BinCounts, BinCounts]:
+    """The counts of `confidence_counts` apart for pixels predicted as hand and as background.
+
+    A network may be overconfident where it sees a hand and under-confident where it sees none; pooled, the many
+    background pixels hide it.
+
+    Returns:
+        counts of the pixels predicted as hand, and as background, each with N = 1, B = 10.
+    """
+    occupied = require_label(label)
+    p = require_p_occupied(p_occupied, occupied.shape)
+    confidence = np.maximum(p, 1.0 - p)
+    bins = np.searchsorted(CONFIDENCE_EDGES[1:-1], confidence, side="right")
+    n_bins = len(CONFIDENCE_EDGES) - 1
+    hand = p >= 0.5
+    return (
+        _count(bins[hand], confidence[hand], occupied[hand], n_bins),
+        _count(bins[~hand], confidence[~hand], ~occupied[~hand], n_bins),
+    )
 
 
 def safety_counts(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) -> BinCounts:
@@ -142,12 +167,6 @@ def curve(counts: BinCounts, weights: NDArray[np.int64] | None = None, level: fl
         low=low,
         high=high,
     )
-
-
-def expected_calibration_error(counts: BinCounts) -> float:
-    """ECE of the pooled diagram: mean over all pixels of |confidence - accuracy| of the pixel's bin."""
-    gap = np.abs(counts.p_sum.sum(axis=0) - counts.event.sum(axis=0))
-    return float(gap.sum() / counts.count.sum())
 
 
 def bootstrap_weights(n_images: int, n_bootstrap: int, seed: int) -> NDArray[np.int64]:

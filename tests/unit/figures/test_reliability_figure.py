@@ -8,7 +8,7 @@ from deltasafe.perception.calibration_report import CalibrationSettings
 from deltasafe.perception.evaluation import calibrate
 
 
-def report(n_members, seed=0, sharpness=1.0):
+def report(n_members, seed=0, sharpness=1.0, **settings):
     rng = np.random.default_rng(seed)
     labels, predictions = [], []
     for _ in range(4):
@@ -16,7 +16,7 @@ def report(n_members, seed=0, sharpness=1.0):
         labels.append(rng.random((20, 30)) < 1 / (1 + np.exp(-logit)))
         noisy = sharpness * (logit + rng.normal(size=(n_members, 20, 30)))
         predictions.append((1 / (1 + np.exp(-noisy))).astype(np.float32))
-    return calibrate(list("abcd"), labels, predictions, CalibrationSettings(n_bootstrap=100))
+    return calibrate(list("abcd"), labels, predictions, CalibrationSettings(n_bootstrap=100, **settings))
 
 
 def lines(axes):
@@ -28,11 +28,15 @@ def test_the_reliability_diagram_shows_members_ensembles_and_the_diagonal():
     figure = reliability_figure(result)
     confidence = next(axes for axes in figure.axes if axes.get_ylabel() == "Accuracy")
     drawn = lines(confidence)
-    assert {"Ideal", "Members", "$M = 2$", "$M = 5$"} <= set(drawn)
-    np.testing.assert_allclose(
-        drawn["$M = 5$"],
-        np.transpose([result.ensembles[-1].reliability.stated, result.ensembles[-1].reliability.observed]),
-    )
+    final = f"$M = 5$, $T = {result.final.temperature:.2f}$"
+    assert set(drawn) >= {"Ideal", "Members", "$M = 2$", "$M = 5$, $T = 1$", final}
+    for label, predictor in ((final, result.final.predictor), ("$M = 5$, $T = 1$", result.ensembles[-1])):
+        curve = predictor.reliability
+        np.testing.assert_allclose(drawn[label], np.transpose([curve.stated, curve.observed]))
+    assert len(confidence.get_lines()) == 1 + 5 + 3
+    plain = reliability_figure(report(5, recalibrate=False))
+    confidence = next(axes for axes in plain.axes if axes.get_ylabel() == "Accuracy")
+    assert "$M = 5$" in lines(confidence)
     assert len(confidence.get_lines()) == 1 + 5 + 2
 
 
@@ -41,11 +45,11 @@ def test_the_safety_diagram_shows_the_share_of_occupied_pixels_and_the_bound():
     figure = reliability_figure(result)
     safety = next(axes for axes in figure.axes if axes.get_ylabel() == "Share of occupied pixels")
     drawn = lines(safety)
-    shown = [value for value in result.safety.observed if value]
+    shown = [value for value in result.final.safety.observed if value]
     in_bins = drawn["Pixels of one bin"][:, 1]
     np.testing.assert_allclose(in_bins[~np.isnan(in_bins)], shown)
     bound = next(data for label, data in drawn.items() if "bound" in label)
-    np.testing.assert_allclose(bound, [(row.delta, row.upper_bound) for row in result.support])
+    np.testing.assert_allclose(bound, [(row.delta, row.upper_bound) for row in result.final.support])
 
 
 @pytest.mark.parametrize(("n_members", "sharpness"), [(1, 1.0), (2, 50.0), (11, 0.01)])

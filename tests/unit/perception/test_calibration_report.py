@@ -9,6 +9,7 @@ import pytest
 from calibration_cases import synthetic_ensemble
 
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.perception.calibration_markdown import report_markdown
 from deltasafe.perception.calibration_report import (
     CalibrationReport,
     CalibrationSettings,
@@ -17,6 +18,8 @@ from deltasafe.perception.calibration_report import (
 )
 from deltasafe.perception.calibration_writing import inline_pictures, write_calibration_report
 from deltasafe.perception.evaluation import calibrate
+from deltasafe.perception.labelled_predictions import LabelledPredictions
+from deltasafe.perception.reliability import DELTA_GRID
 
 NAMES, LABELS, PREDICTIONS = synthetic_ensemble()
 
@@ -56,12 +59,12 @@ def test_every_picture_is_linked_and_every_link_is_a_picture(folder):
 
 def test_the_text_states_what_a_reader_must_know(report, folder):
     text = (folder / "report.md").read_text("utf-8")
-    scores = report.ensembles[-1].scores
+    scores = report.final.predictor.scores
     worst, best = (report.image_ids[report.worst_first[i]] for i in (0, -1))
     stated = (
         f"**{scores.miou:.4f}**",
         f"**{scores.nll:.4f}**",
-        f"T = {report.recalibration.temperature:.3f}",
+        f"T = {report.recalibrated.temperature:.3f}",
         f"support is {report.smallest_supported_delta:g}",
         f"`{worst}`",
         f"`{best}`",
@@ -70,6 +73,12 @@ def test_the_text_states_what_a_reader_must_know(report, folder):
         "0.114",
         "1e-7",
         "nor of a whole motion",
+        "under-confident" if report.as_it_is.predictor.errors.signed_high < 0 else "confident",
+        f"{report.final.predictor.errors.signed:+.4f}",
+        f"{report.final.held_out_delta.occupied_share:.3%}",
+        f"1 / (6 + 1) = {1 / 7:.2%}",
+        "Every image is judged with a T that was fitted without it",
+        f"`{report.image_ids[report.most_missed_first[0]]}`",
     )
     assert [part for part in stated if part not in text] == []
     for table in re.findall(r"(?:^\|.*\n)+", text, flags=re.M):
@@ -83,12 +92,12 @@ def test_without_photographs_there_are_no_overlays_and_no_dead_links(report, tmp
 
 
 def test_inlined_pictures_are_the_pictures(folder):
-    text = inline_pictures(folder / "report.md")
+    text = inline_pictures(folder / "report.md", limit_bytes=4_000_000)
     data = re.findall(r"\(data:image/(?:png|jpeg);base64,([^)]+)\)", text)
     assert {base64.b64decode(item) for item in data} == {
         path.read_bytes() for path in folder.iterdir() if path.suffix in (".png", ".jpg")
     }
-    assert len(text.encode()) <= 1_000_000
+    assert len(inline_pictures(folder / "report.md").encode()) <= 1_000_000
 
 
 def test_a_small_limit_leaves_pictures_out_and_says_so(folder):
@@ -133,7 +142,7 @@ def test_damaged_reports_are_refused(folder, tmp_path, old, new, match):
 
 
 def test_the_gate_opens_at_the_thresholds_and_closes_above(report):
-    scores = report.ensembles[-1].scores
+    scores = report.final.predictor.scores
     delta = report.smallest_supported_delta
     worst = max(image.missed_hand_rate for image in report.images)
     exact = GateThresholds(scores.pixel_accuracy, scores.miou, delta, worst)
@@ -150,14 +159,23 @@ def test_the_gate_opens_at_the_thresholds_and_closes_above(report):
 
 
 def test_the_gate_is_closed_when_no_delta_is_supported(report):
-    unsupported = tuple(dataclasses.replace(row, supported=False) for row in report.support)
-    failures = gate(dataclasses.replace(report, support=unsupported), GateThresholds(0.0, 0.0))
+    unsupported = tuple(dataclasses.replace(row, supported=False) for row in report.final.support)
+    judgement = dataclasses.replace(report.final, support=unsupported)
+    failures = gate(dataclasses.replace(report, recalibrated=judgement), GateThresholds(0.0, 0.0))
     assert failures == ["the images support no delta, planning needs 0.05"]
 
 
 @pytest.mark.parametrize(
     "settings",
-    [{"n_bootstrap": 10}, {"level": 1.0}, {"level": 0.5}, {"n_folds": 1}, {"n_folds": -1}],
+    [
+        {"n_bootstrap": 10},
+        {"level": 1.0},
+        {"level": 0.5},
+        {"n_folds": 1},
+        {"n_folds": -1},
+        {"missed_hand_alpha": 0.0},
+        {"missed_hand_alpha": 1.0},
+    ],
 )
 def test_settings_outside_their_domain_are_refused(settings):
     with pytest.raises(SettingsError, match=next(iter(settings))):
@@ -167,3 +185,38 @@ def test_settings_outside_their_domain_are_refused(settings):
 def test_thresholds_outside_their_domain_are_refused():
     with pytest.raises(SettingsError, match="miou"):
         GateThresholds(miou=80.0)
+
+
+def test_the_text_says_where_the_calibration_images_are_and_what_is_used():
+    names, labels, predictions = synthetic_ensemble(n_images=4, seed=9)
+    settings = CalibrationSettings(n_bootstrap=100, recalibrate=False)
+    further = LabelledPredictions(names, labels, predictions)
+    text = report_markdown(calibrate(NAMES, LABELS, PREDICTIONS, settings, calibration=further), [])
+    assert "fitted on **4 further images** and judged on these 6" in text
+    assert "as it is, with T = 1" in text
+    assert "recalibrated by a temperature" not in text
+    alone = report_markdown(calibrate(NAMES[:1], LABELS[:1], PREDICTIONS[:1], settings), [])
+    assert "One image is too few to fit anything" in alone
+    assert "no part of the images" not in alone
+
+
+def test_examples_show_every_way_to_fail(report):
+    chosen = report.worst_examples(3, 0.05)
+    assert len(set(chosen)) == 3
+    assert chosen[0] == report.worst_first[0]
+    assert report.most_missed_first[0] in chosen
+    taken = [shares[DELTA_GRID.index(0.05)] for shares in report.final.taken_for_free]
+    assert int(np.argmax(taken)) in chosen
+    assert report.worst_examples(100, 0.9)[0] == report.worst_first[0]
+    assert sorted(report.worst_examples(100, 0.9)) == list(range(6))
+
+
+def test_most_missed_images_come_first_and_images_without_a_hand_not_at_all():
+    labels = [*LABELS[:3], np.zeros_like(LABELS[3])]
+    report = calibrate(NAMES[:4], labels, PREDICTIONS[:4], CalibrationSettings(n_bootstrap=100))
+    order = report.most_missed_first
+    assert sorted(order) == [0, 1, 2]
+    rates = [report.images[i].missed_hand_rate for i in order]
+    assert rates == sorted(rates, reverse=True)
+    assert report.final.taken_for_free[3] is None
+    assert report.risk_control.n_images == 3

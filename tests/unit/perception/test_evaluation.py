@@ -9,8 +9,11 @@ from calibration_cases import synthetic_ensemble
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration_report import CalibrationSettings
 from deltasafe.perception.evaluation import calibrate
+from deltasafe.perception.labelled_predictions import LabelledPredictions
+from deltasafe.perception.metrics import score_image
 from deltasafe.perception.predictions import MemberPredictions
-from deltasafe.perception.recalibration import apply_temperature
+from deltasafe.perception.recalibration import apply_temperature, fit_temperature, logit_counts, stack_logit_counts
+from deltasafe.perception.reliability import DELTA_GRID
 
 FAST = CalibrationSettings(n_bootstrap=300)
 NAMES, LABELS, PREDICTIONS = synthetic_ensemble()
@@ -54,15 +57,25 @@ def test_members_are_judged_alone_and_their_deviation_is_over_members(report):
 
 def test_reliability_and_support_count_all_pixels(report):
     p, y = pooled(3)
+    raw = report.as_it_is
     n_pixels = sum(label.size for label in LABELS)
-    assert (
-        sum(report.ensembles[-1].reliability.count) == sum(report.safety.count) == report.n_pixels == n_pixels == p.size
-    )
+    for judgement in (raw, report.recalibrated):
+        classes = np.add(judgement.hand.count, judgement.background.count)
+        assert classes.tolist() == list(judgement.predictor.reliability.count)
+        assert sum(classes) == sum(judgement.safety.count) == report.n_pixels == n_pixels == p.size
     assert report.hand_share == pytest.approx(y.mean())
-    for row in report.support:
+    assert raw.predictor == report.ensembles[-1]
+    for row in raw.support:
         clear = p <= row.delta
         assert row.clear_share == pytest.approx(clear.mean())
         assert (row.occupied_share or 0.0) == pytest.approx(y[clear].mean() if clear.any() else 0.0)
+
+
+def test_shares_taken_for_free_are_counted_image_by_image(report):
+    for stack, label, shares in zip(PREDICTIONS, LABELS, report.as_it_is.taken_for_free, strict=True):
+        hand = [p for p, y in zip(stack.astype(float).mean(axis=0).ravel().tolist(), label.ravel(), strict=True) if y]
+        for delta, share in zip(DELTA_GRID, shares, strict=True):
+            assert share == pytest.approx(sum(p <= delta for p in hand) / len(hand), abs=1e-9)
 
 
 def test_intervals_contain_the_estimate(report):
@@ -77,7 +90,7 @@ def test_intervals_contain_the_estimate(report):
 
 
 def test_recalibrated_scores_are_those_of_the_stated_temperature(report):
-    result = report.recalibration
+    result = report.recalibrated
     assert result.lowest <= result.temperature <= result.highest
     assert result.lowest < result.highest
     p, y = pooled(3)
@@ -86,15 +99,104 @@ def test_recalibrated_scores_are_those_of_the_stated_temperature(report):
         for q in (apply_temperature(p, t).clip(1e-7, 1 - 1e-7) for t in (result.temperature, 0.97, 1.03))
     ]
     assert costs[0] <= min(costs[1:])
-    assert result.scores.nll == pytest.approx(costs[0], rel=0.1)
-    assert result.scores.nll >= costs[0]  # judged on unseen images
+    assert result.predictor.scores.nll == pytest.approx(costs[0], rel=0.1)
+    assert result.predictor.scores.nll >= costs[0]  # judged on unseen images
 
 
-def test_the_calibration_to_store_is_that_of_the_whole_ensemble_as_it_is(report):
+def refitted(**changed):
+    """The report with image 2 replaced by one with other predictions, or another label."""
+    lists = {"labels": list(LABELS), "predictions": list(PREDICTIONS)}
+    for name, value in changed.items():
+        lists[name][2] = value
+    return calibrate(NAMES, lists["labels"], lists["predictions"], FAST)
+
+
+def test_an_image_is_judged_by_nothing_that_was_fitted_on_it(report):
+    # the label of image 2 decides nothing about its own probabilities: they are those of the others' temperature
+    other = refitted(labels=np.zeros_like(LABELS[2]))
+    assert other.recalibrated.temperature != report.recalibrated.temperature
+    p_mean = PREDICTIONS[2].astype(float).mean(axis=0)
+    own = fit_temperature(
+        stack_logit_counts(
+            [
+                logit_counts(stack.astype(float).mean(axis=0), label)
+                for i, (stack, label) in enumerate(zip(PREDICTIONS, LABELS, strict=True))
+                if i != 2
+            ]
+        )
+    )
+    for result, label in ((report, LABELS[2]), (other, np.zeros_like(LABELS[2]))):
+        assert result.recalibrated.predictor.images[2] == score_image(apply_temperature(p_mean, own), label)
+
+
+@pytest.mark.parametrize("recalibrate", [True, False])
+def test_the_calibration_to_store_is_that_of_the_ensemble_as_it_is_used(recalibrate):
+    settings = dataclasses.replace(FAST, recalibrate=recalibrate, missed_hand_alpha=0.3)
+    report = calibrate(NAMES, LABELS, PREDICTIONS, settings)
+    used = report.recalibrated if recalibrate else report.as_it_is
+    assert report.final is used
     calibration = report.calibration
-    assert (calibration.n_images, calibration.n_members, calibration.temperature) == (6, 3, 1.0)
-    assert calibration.brier == report.ensembles[-1].scores.brier
-    assert calibration.smallest_supported_delta == report.smallest_supported_delta
+    assert (calibration.n_images, calibration.n_calibration_images, calibration.n_members) == (6, 6, 3)
+    assert calibration.temperature == (report.recalibrated.temperature if recalibrate else 1.0)
+    assert (calibration.temperature == 1.0) != recalibrate
+    assert calibration.brier == used.predictor.scores.brier == report.figures()["bs"]
+    assert calibration.expected_calibration_error == used.predictor.errors.expected
+    assert calibration.smallest_supported_delta == used.smallest_supported_delta
+    assert calibration.missed_hand_alpha == 0.3
+    assert calibration.missed_hand_threshold == report.risk_control.threshold
+    shares = [
+        np.mean((apply_temperature(stack.astype(float).mean(axis=0), calibration.temperature))[label > 0]
+                <= calibration.missed_hand_threshold)
+        for stack, label in zip(PREDICTIONS, LABELS, strict=True)
+    ]  # fmt: skip
+    assert (sum(shares) + 1) / 7 <= 0.3
+
+
+def test_figures_of_the_whole_ensemble_keep_their_names(report):
+    figures = report.figures()
+    assert {"pa", "miou", "nll", "bs", "ece", "n_members", "smallest_supported_delta", "temperature"} <= set(figures)
+    assert figures["nll"] == report.recalibrated.predictor.scores.nll
+    assert figures["calibration_error_signed"] == report.final.predictor.errors.signed
+
+
+def test_calibration_images_are_kept_apart():
+    names, labels, predictions = synthetic_ensemble(n_images=9, seed=5)
+    further = LabelledPredictions(names, labels, predictions)
+    told = []
+    report = calibrate(NAMES, LABELS, PREDICTIONS, FAST, lambda *args: told.append(args[:2]), further)
+    assert (told[-1], len(told)) == ((30, 30), 21)
+    assert report.calibration_image_ids == tuple(names)
+    assert (report.n_calibration_images, report.calibration.n_images) == (9, 6)
+    means = [stack.astype(float).mean(axis=0) for stack in predictions]
+    counts = stack_logit_counts([logit_counts(p, y) for p, y in zip(means, labels, strict=True)])
+    temperature = fit_temperature(counts)
+    result = report.recalibrated
+    assert (result.temperature, result.lowest, result.highest) == (temperature, temperature, temperature)
+    for stack, label, scores in zip(PREDICTIONS, LABELS, result.predictor.images, strict=True):
+        assert scores == score_image(apply_temperature(stack.astype(float).mean(axis=0), temperature), label)
+    # delta and threshold come from the further images alone, whatever the test images are
+    opposite = [np.float32(1) - stack for stack in PREDICTIONS]
+    other = calibrate(NAMES, LABELS, opposite, FAST, calibration=further)
+    assert other.recalibrated.support == result.support
+    assert other.as_it_is.support == report.as_it_is.support
+    assert [row.threshold for row in other.risk] == [row.threshold for row in report.risk]
+    assert [row.n_images for row in report.risk] == [9] * 4
+    # and are judged on the test images
+    held_out = result.held_out_delta
+    assert (held_out.n_fits, held_out.lowest) == (1, result.smallest_supported_delta)
+    q = np.concatenate(
+        [apply_temperature(stack.astype(float).mean(axis=0), temperature).ravel() for stack in PREDICTIONS]
+    )
+    y = np.concatenate([label.ravel() > 0 for label in LABELS])
+    assert held_out.clear_share == pytest.approx((q <= held_out.lowest).mean())
+    assert held_out.occupied_share == pytest.approx(y[q <= held_out.lowest].mean())
+    assert other.recalibrated.held_out_delta.occupied_share > 0.5
+
+
+def test_members_of_calibration_images_must_be_the_same():
+    further = LabelledPredictions(NAMES, LABELS, [stack[:2] for stack in PREDICTIONS])
+    with pytest.raises(SettingsError, match=r"image_00: .*\(M, H, W\)"):
+        calibrate(NAMES, LABELS, PREDICTIONS, FAST, calibration=further)
 
 
 def test_order_of_images_changes_no_score():
@@ -121,7 +223,10 @@ def test_same_result_from_disk(report, tmp_path):
 
 def test_one_image_and_one_member_are_enough_except_for_a_temperature():
     report = calibrate(NAMES[:1], LABELS[:1], [PREDICTIONS[0][:1]], FAST)
-    assert report.recalibration is None
+    assert report.recalibrated is None
+    assert report.final is report.as_it_is
+    assert report.as_it_is.held_out_delta is None
+    assert report.calibration.temperature == 1.0
     assert report.member_mean.sd is None
     assert report.ensembles[-1].low == report.ensembles[-1].high == report.ensembles[-1].scores
 

@@ -10,9 +10,9 @@ from deltasafe.perception.reliability import (
     CONFIDENCE_EDGES,
     DELTA_GRID,
     bootstrap_weights,
+    class_counts,
     confidence_counts,
     curve,
-    expected_calibration_error,
     safety_counts,
     stack_counts,
 )
@@ -56,8 +56,16 @@ def test_confidence_counts_agree_with_a_reference(seed):
     assert counts.count[0].tolist() == count
     assert counts.event[0].tolist() == right
     np.testing.assert_allclose(counts.p_sum[0], total, atol=1e-9)
-    ece = sum(abs(t - r) for t, r in zip(total, right, strict=True)) / label.size
-    assert expected_calibration_error(counts) == pytest.approx(ece, abs=1e-9)
+    hand, background = class_counts(p_occupied, label)
+    count, right = [[0] * 10, [0] * 10], [[0] * 10, [0] * 10]
+    for p, y in zip(p_occupied.astype(float).ravel(), label.ravel(), strict=True):
+        predicted = int(p >= 0.5)
+        k = max(i for i in range(10) if max(p, 1 - p) >= CONFIDENCE_EDGES[i])
+        count[predicted][k] += 1
+        right[predicted][k] += predicted == y
+    assert [background.count[0].tolist(), hand.count[0].tolist()] == count
+    assert [background.event[0].tolist(), hand.event[0].tolist()] == right
+    np.testing.assert_allclose(hand.p_sum + background.p_sum, counts.p_sum, atol=1e-9)
 
 
 @given(seed=st.integers(0, 10_000))
@@ -91,9 +99,18 @@ def test_an_overconfident_predictor_lies_below_the_diagonal():
     counts = stack_counts([confidence_counts(sharpen(p), y) for p, y in calibrated_images()])
     result = curve(counts)
     assert (np.array(result.observed) < np.array(result.stated))[1:9].all()
-    calibrated = stack_counts([confidence_counts(p, y) for p, y in calibrated_images()])
-    assert expected_calibration_error(counts) > 0.1
-    assert expected_calibration_error(calibrated) < 0.01
+
+
+def test_a_class_that_is_surer_than_right_is_seen_though_the_pool_is_calibrated():
+    rng = np.random.default_rng(0)
+    hand = rng.random((200, 200)) < 0.5
+    p_occupied = np.where(hand, 0.8, 0.2)
+    label = np.where(hand, rng.random(hand.shape) < 0.7, rng.random(hand.shape) < 0.1)
+    pooled = curve(confidence_counts(p_occupied, label))
+    seen = [curve(counts) for counts in class_counts(p_occupied, label)]
+    assert pooled.observed[6] == pytest.approx(0.8, abs=0.01)
+    assert [c.observed[6] for c in seen] == pytest.approx([0.7, 0.9], abs=0.01)
+    assert [c.stated[6] for c in seen] == pytest.approx([0.8, 0.8])
 
 
 def test_intervals_contain_the_estimate_and_shrink_with_the_number_of_images():
