@@ -13,7 +13,7 @@ STAMP := $(VENV)/.installed
 REQUIREMENTS := -e .[vision,sim] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: demo test ui check lock clean record
+.PHONY: demo test ui check lock clean record study
 
 demo: $(STAMP)
 	$(BIN)/python -m pipelines.demo
@@ -21,6 +21,10 @@ demo: $(STAMP)
 # the demo, and its figures written to docs/results
 record: $(STAMP)
 	$(BIN)/python -m pipelines.demo --record docs/results/$(PRESET).json
+
+# Tables I to III, Fig. 4 and the ablation: hours; an interrupted study goes on where it was
+study: $(STAMP)
+	$(BIN)/python -m pipelines.study --record docs/results/perception.json
 
 test: $(STAMP) check
 	$(BIN)/python -m pytest -n 2 --dist loadfile

@@ -8,6 +8,7 @@ from deltasafe.execution.simulate import ExecutionSettings
 from deltasafe.perception.augmentation.settings import AugmentationSettings
 from deltasafe.perception.calibration_report import CalibrationSettings, GateThresholds
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
+from deltasafe.perception.study import StudySettings
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import FieldSettings
 
@@ -32,6 +33,7 @@ class Preset:
     inference: InferenceSettings = dataclasses.field(default_factory=InferenceSettings)
     calibration: CalibrationSettings = dataclasses.field(default_factory=CalibrationSettings)
     gate: GateThresholds = dataclasses.field(default_factory=GateThresholds)
+    study: StudySettings = dataclasses.field(default_factory=StudySettings)
     field: FieldSettings = dataclasses.field(default_factory=FieldSettings)
     # in the paper's experiment the area between path and table is penalised, so that the tool passes near the fingers
     motion: MotionSettings = dataclasses.field(default_factory=lambda: MotionSettings(cost="area"))
@@ -54,6 +56,9 @@ PRESETS = {
         inference=InferenceSettings(128, 96),
         calibration=CalibrationSettings(n_bootstrap=200, n_folds=5),
         gate=GateThresholds(pixel_accuracy=0.0, miou=0.0, planning_delta=0.5),
+        study=StudySettings(
+            sizes=(50, 100), n_members=2, n_members_most=3, n_members_ablation=1, left_out=("background",)
+        ),
         motion=MotionSettings(cost="area", delta=0.5),
         n_scenes=2,
         n_films=1,

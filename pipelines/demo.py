@@ -3,15 +3,15 @@
 import argparse
 import os
 import pathlib
-import subprocess
 import sys
 import time
 from typing import Any
 
 from deltasafe.presets import VARIABLE
 from deltasafe.storage import read_json, write_json
-from pipelines.home import PROJECT, prepare_home
+from pipelines.home import prepare_home
 from pipelines.pictures import record_pictures
+from pipelines.provenance import commit, machine
 
 __all__ = ["main"]
 
@@ -53,9 +53,9 @@ def main() -> int:
     record = {
         "figures": figures,
         "command": command,
-        "commit": _commit(),
+        "commit": commit(),
         "seeds": _seeds(root),
-        "machine": _machine(),
+        "machine": machine(),
     }
     write_json(root / "results.json", record)
     if options.record:
@@ -124,26 +124,6 @@ def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:
     print(f"  frozen ensemble     {_folder(root, 'frozen_ensemble')}")
     print(f"  figures             {root / 'results.json'}")
     print("  UI                  make ui, then http://127.0.0.1:3000")
-
-
-def _commit() -> str:
-    command = ["git", "-C", str(PROJECT), "describe", "--always", "--dirty", "--abbrev=12", "--exclude", "*"]
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    return found.stdout.strip() or "not a git checkout"
-
-
-def _machine() -> str:
-    import platform
-
-    import torch
-
-    cpu = platform.processor() or platform.machine()
-    info = pathlib.Path("/proc/cpuinfo")
-    if info.is_file():
-        names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
-        cpu = names[0] if names else cpu
-    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU"
-    return f"{os.cpu_count()} cores, {cpu}, {gpu}; Python {platform.python_version()}, torch {torch.__version__}"
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.augmentation import AugmentationSettings
 from deltasafe.perception.augmented_set import AugmentedSet, write_augmented_set
-from deltasafe.perception.calibration_report import CalibrationReport, CalibrationSettings
+from deltasafe.perception.calibration_report import FORMAT_VERSION, CalibrationReport, CalibrationSettings
 from deltasafe.perception.ensemble import Ensemble
 from deltasafe.perception.ensemble_training import MemberJob, train_members
 from deltasafe.perception.evaluation import calibrate
@@ -31,10 +31,6 @@ __all__ = ["Study"]
 
 _MAKES_SETS = ("perception/augmentation", "perception/schemes", "perception/augmented_set.py")
 _PREDICTS = ("perception/ensemble.py", "perception/network.py")
-_JUDGES = tuple(
-    f"perception/{name}.py"
-    for name in ("evaluation", "metrics", "reliability", "calibration", "calibration_report", "recalibration")
-)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,6 +134,11 @@ class Study:
         except DataError:
             return None
 
+    def finished(self) -> dict[str, CalibrationReport]:
+        """The scores of all finished cells, by name."""
+        found = {cell.name: self.find(cell) for cell in self.settings.cells()}
+        return {name: report for name, report in found.items() if report is not None}
+
     def steps_left(self, cell: Cell) -> int:
         """Gradient steps of the members of ``cell`` that are not finished (checkpoints not counted)."""
         return self.n_steps * (cell.n_members - len(self.find_members(cell)))
@@ -193,7 +194,7 @@ class Study:
         return self.store.augmented_set(digest_of(key))
 
     def _report_folder(self, members: Sequence[Member]) -> pathlib.Path:
-        key = [[self._prediction_key(m) for m in members], self.calibration, digest_of_sources(*_JUDGES)]
+        key = [[self._prediction_key(m) for m in members], self.calibration, FORMAT_VERSION]
         return self.store.report(digest_of(key))
 
     def _prediction_key(self, member: Member) -> str:

@@ -1,0 +1,192 @@
+"""The studies as a folder: `report.md` with tables and pictures, and every figure by a short name."""
+
+import pathlib
+from collections.abc import Callable, Iterable, Sequence
+
+from deltasafe.perception.ensemble_size import ensemble_size_table, ensemble_size_values
+from deltasafe.perception.metrics import Scores
+from deltasafe.perception.study.settings import StudySettings
+from deltasafe.perception.study.tables import (
+    SCHEME_TITLES,
+    AblationRow,
+    Reports,
+    SchemeRow,
+    ablation_rows,
+    best_everywhere,
+    missing_cells,
+    scheme_rows,
+)
+from deltasafe.storage import atomic_folder
+
+__all__ = ["ablation_markdown", "scheme_markdown", "study_values", "write_study"]
+
+_SHORT = {"pixel_accuracy": "pa", "miou": "miou", "nll": "nll", "brier": "bs"}
+
+
+def write_study(folder: str | pathlib.Path, settings: StudySettings, reports: Reports) -> pathlib.Path:
+    """Write what is finished; what is not is named as missing. The folder appears as a whole or not at all.
+
+    Returns:
+        path of `report.md`.
+    """
+    from matplotlib.figure import Figure
+
+    from deltasafe.figures.ensemble_size import ensemble_reliability_figure, ensemble_size_figure
+    from deltasafe.figures.schemes import ablation_figure, scheme_figure, scheme_tables_figure
+
+    rows, without = scheme_rows(settings, reports), ablation_rows(settings, reports)
+    largest = reports.get(settings.largest.name)
+    pictures: dict[str, Callable[[], Figure]] = {}
+    parts = ["# Perception as in section V-A of the paper"]
+    if missing := missing_cells(settings, reports):
+        parts.append(f"Not finished yet: {', '.join(missing)}.")
+    parts.append("## Augmentation schemes (Tables I and II)")
+    if rows:
+        pictures["tables-1-2.png"] = lambda: scheme_tables_figure(rows)
+        pictures["schemes.png"] = lambda: scheme_figure(rows)
+        parts += [scheme_markdown(rows, settings), "![Schemes](schemes.png)"]
+    parts.append(f"## Ensemble size (Table III and Fig. 4): our scheme, {settings.sizes[-1]} images")
+    if largest is not None:
+        pictures["table-3.png"] = lambda: ensemble_size_figure(largest)
+        pictures["figure-4.png"] = lambda: ensemble_reliability_figure(largest)
+        parts += [ensemble_size_table(largest), "![Table III](table-3.png)", "![Fig. 4](figure-4.png)"]
+    parts.append("## Ablation: one method left out")
+    if without:
+        parts.append(ablation_markdown(without))
+        if any(row.loss is not None for row in without):
+            pictures["ablation.png"] = lambda: ablation_figure(without)
+            parts.append("![Ablation](ablation.png)")
+    with atomic_folder(folder) as temporary:
+        for name, draw in pictures.items():
+            draw().savefig(temporary / name, dpi=110, facecolor="white")
+        (temporary / "report.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    return pathlib.Path(folder) / "report.md"
+
+
+def scheme_markdown(rows: Sequence[SchemeRow], settings: StudySettings) -> str:
+    """Tables I and II in the paper's units, beside the paper's figures, and how far our scheme leads."""
+    best = best_everywhere(rows, settings)
+    verdict = {
+        None: "",
+        True: "Our scheme beats every other in all four measures at every size.",
+        False: "Our scheme does **not** beat every other in all four measures at every size.",
+    }[best]
+    notes = (
+        "Every cell is trained with the same number of gradient steps, every row has the M that stands in it. PA and "
+        "mIoU: mean ± one standard deviation over the M members. NLL and BS: of the mean of the members. In brackets "
+        "the interval by bootstrap over test images. The headings of the paper's Table II are swapped, here they are "
+        'corrected; its row "1000 images, our scheme" is an ensemble of M = 10, the M of its others is not given.'
+    )
+    lead_note = (
+        "Lead of our scheme, interval by bootstrap over images (paired: both schemes on the same drawn images); "
+        "above zero it is better."
+    )
+    first = table(
+        ("Images", "Scheme", "M", "PA [%]", "Paper", "mIoU [%]", "Paper"),
+        [
+            (
+                *_head(row),
+                *(_cell(row, name, 1e2) for name in ("pixel_accuracy", "miou") for _cell in (_members, _paper)),
+            )
+            for row in rows
+        ],
+    )
+    second = table(
+        ("Images", "Scheme", "M", "NLL x 10²", "Paper", "BS x 10³", "Paper"),
+        [
+            (
+                *_head(row),
+                *(_cell(row, name, unit) for name, unit in (("nll", 1e2), ("brier", 1e3)) for _cell in (_mean, _paper)),
+            )
+            for row in rows
+        ],
+    )
+    led = [row for row in rows if row.lead_low is not None and row.lead_high is not None]
+    third = table(
+        ("Images", "Over", "PA [%]", "mIoU [%]", "NLL x 10²", "BS x 10³"),
+        [(f"{row.cell.n_images}", SCHEME_TITLES[row.cell.scheme], *_spans(row.lead_low, row.lead_high)) for row in led],
+    )
+    return "\n\n".join(part for part in (verdict, first, second, *((lead_note, third) if led else ()), notes) if part)
+
+
+def ablation_markdown(rows: Sequence[AblationRow]) -> str:
+    """What is lost without a method, with intervals."""
+    note = (
+        "Loss without the method, interval by paired bootstrap over images: what is above zero, the method is worth. "
+        "PA and mIoU are means over members, NLL and BS those of their ensemble, against the same seeds of the whole "
+        "scheme."
+    )
+    head = ("Without", "M", "PA [%]", "loss", "mIoU [%]", "loss", "NLL x 10²", "loss", "BS x 10³", "loss")
+    lines = []
+    for row in rows:
+        mean, ensemble = row.members.mean, row.ensemble
+        values = (1e2 * mean.pixel_accuracy, 1e2 * mean.miou, 1e2 * ensemble.nll, 1e3 * ensemble.brier)
+        losses = _spans(row.loss_low, row.loss_high)
+        pairs = (text for value, loss in zip(values, losses, strict=True) for text in (f"{value:.2f}", loss))
+        lines.append((row.cell.left_out.replace("_", " "), f"{row.cell.n_members}", *pairs))
+    return f"{note}\n\n{table(head, lines)}"
+
+
+def study_values(settings: StudySettings, reports: Reports) -> dict[str, float]:
+    """Every figure of the tables by a short name: ``cutout_200_pa``, ``bs_m10``, ``without_flip_nll_loss``, ..."""
+    values: dict[str, float] = {}
+    rows = scheme_rows(settings, reports)
+    for row in rows:
+        name = f"{row.cell.scheme}_{row.cell.n_images}"
+        values[f"{name}_m"] = row.cell.n_members
+        for field, short in _SHORT.items():
+            values[f"{name}_{short}"] = getattr(row.compared, field)
+            if row.members.sd is not None and short in ("pa", "miou"):
+                values[f"{name}_{short}_sd"] = getattr(row.members.sd, field)
+            if short in ("nll", "bs"):
+                values[f"{name}_{short}_low"] = getattr(row.low, field)
+                values[f"{name}_{short}_high"] = getattr(row.high, field)
+    for without in ablation_rows(settings, reports):
+        name = f"without_{without.cell.left_out}"
+        values[f"{name}_m"] = without.cell.n_members
+        for field, short in _SHORT.items():
+            if without.loss is not None:
+                values[f"{name}_{short}_loss"] = getattr(without.loss, field)
+                values[f"{name}_{short}_loss_low"] = getattr(without.loss_low, field)
+                values[f"{name}_{short}_loss_high"] = getattr(without.loss_high, field)
+    if (largest := reports.get(settings.largest.name)) is not None:
+        values |= ensemble_size_values(largest)
+    if (best := best_everywhere(rows, settings)) is not None:
+        values["ours_best_in_all_cells"] = best
+    return values
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _head(row: SchemeRow) -> tuple[str, str, str]:
+    return f"{row.cell.n_images}", SCHEME_TITLES[row.cell.scheme], f"{row.cell.n_members}"
+
+
+def _members(row: SchemeRow, name: str, unit: float) -> str:
+    sd = "" if row.members.sd is None else f" ± {unit * getattr(row.members.sd, name):.1f}"
+    return f"**{unit * getattr(row.members.mean, name):.1f}**{sd}"
+
+
+def _mean(row: SchemeRow, name: str, unit: float) -> str:
+    value, low, high = (unit * getattr(scores, name) for scores in (row.ensemble, row.low, row.high))
+    return f"**{value:.1f}** ({low:.1f} to {high:.1f})"
+
+
+def _paper(row: SchemeRow, name: str, unit: float) -> str:
+    if row.paper is None:
+        return ""
+    sd = getattr(row.paper, f"{name}_sd", None)
+    return f"{unit * getattr(row.paper, name):.1f}" + ("" if sd is None else f" ± {unit * sd:.1f}")
+
+
+def _spans(low: Scores | None, high: Scores | None) -> tuple[str, ...]:
+    """An interval for each measure, in the paper's units and order."""
+    if low is None or high is None:
+        return ("",) * 4
+    return tuple(
+        f"{unit * getattr(low, name):+.1f} to {unit * getattr(high, name):+.1f}"
+        for name, unit in (("pixel_accuracy", 1e2), ("miou", 1e2), ("nll", 1e2), ("brier", 1e3))
+    )

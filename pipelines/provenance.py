@@ -1,0 +1,30 @@
+"""By what a figure was made: commit and machine."""
+
+import os
+import pathlib
+import platform
+import subprocess
+
+from pipelines.home import PROJECT
+
+__all__ = ["commit", "machine"]
+
+
+def commit() -> str:
+    """Twelve digits of the checkout's commit, `-dirty` behind them where files differ from it."""
+    command = ["git", "-C", str(PROJECT), "describe", "--always", "--dirty", "--abbrev=12", "--exclude", "*"]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    return found.stdout.strip() or "not a git checkout"
+
+
+def machine() -> str:
+    """Cores, processor, GPU, and versions of Python and torch."""
+    import torch
+
+    cpu = platform.processor() or platform.machine()
+    info = pathlib.Path("/proc/cpuinfo")
+    if info.is_file():
+        names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+        cpu = names[0] if names else cpu
+    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU"
+    return f"{os.cpu_count()} cores, {cpu}, {gpu}; Python {platform.python_version()}, torch {torch.__version__}"

@@ -1,0 +1,157 @@
+"""`make study`: Tables I to III, Fig. 4 and the ablation; hours on two cores, in pieces as small as one likes.
+
+Whatever is interrupted goes on where it was, whatever is finished is found, also by the assets in Dagster.
+"""
+
+import argparse
+import os
+import pathlib
+import sys
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from deltasafe import presets
+from deltasafe.storage import atomic_folder, read_json, write_json
+from pipelines.home import DATASETS, home
+
+if TYPE_CHECKING:
+    from deltasafe.perception.study import Cell
+    from deltasafe.perception.study.study import Study
+    from deltasafe.perception.training import StepReport
+
+__all__ = ["main"]
+
+
+def main() -> int:
+    """Work on the cells that are asked for, then report on all that are finished; 0 if none is missing."""
+    names = [cell.name for cell in presets.active().study.cells()]
+    parser = argparse.ArgumentParser(prog="python -m pipelines.study", description=__doc__)
+    parser.add_argument("--cells", nargs="*", default=names, metavar="CELL", help=f"of {', '.join(names)}")
+    parser.add_argument("--home", type=pathlib.Path, help="where everything is kept ($DELTASAFE_HOME)")
+    parser.add_argument("--record", type=pathlib.Path, help="also write the figures to this file (docs/results/...)")
+    parser.add_argument("--workers", type=int, default=0, help="processes; 0 is one a core")
+    options = parser.parse_args()
+    if unknown := sorted(set(options.cells) - set(names)):
+        parser.error(f"no such cells: {', '.join(unknown)}; there are {', '.join(names)}")
+    root = (options.home or home()).expanduser().resolve()
+    study = open_study(root, options.workers)
+    print(f"Everything that is made goes to {study.store.home}", flush=True)
+    chosen = [cell for cell in study.settings.cells() if cell.name in options.cells]
+    watch = _Watch(study, chosen)
+    for cell in chosen:
+        watch.begin(cell)
+        study.judge(cell, watch.step, watch.say)
+        watch.end(cell)
+        report(study, root, options.record)
+    reports = report(study, root, options.record)
+    print(f"\nReport: {root / 'study-report' / 'report.md'}")
+    return int(len(reports) < len(names))
+
+
+def open_study(root: pathlib.Path, workers: int = 0) -> "Study":
+    """The study of the active preset on the packaged data."""
+    from deltasafe.perception.hands import HandSet
+    from deltasafe.perception.study.store import StudyStore
+    from deltasafe.perception.study.study import Study
+
+    preset, registry = presets.active(), DATASETS / "registry.sha256"
+    return Study(
+        settings=preset.study,
+        augmentation=preset.augmentation,
+        training=preset.training,
+        inference=preset.inference,
+        calibration=preset.calibration,
+        train=HandSet.load(DATASETS / "hands" / "train", registry),
+        test=HandSet.load(DATASETS / "hands" / "test", registry),
+        backgrounds=DATASETS / "backgrounds",
+        store=StudyStore(root / "store"),
+        workers=workers,
+    )
+
+
+def report(study: "Study", root: pathlib.Path, record: pathlib.Path | None) -> Mapping[str, object]:
+    """Write what is finished below ``root``, and to ``record`` with its pictures beside it."""
+    from deltasafe.perception.study.writing import study_values, write_study
+
+    reports = study.finished()
+    write_study(root / "study-report", study.settings, reports)
+    values = study_values(study.settings, reports)
+    write_record(root / "study-report.json", values, study)
+    if record is not None:
+        write_record(record, values, study)
+        with atomic_folder(record.with_suffix("")) as temporary:
+            write_study(temporary / "made", study.settings, reports)
+            for made in (temporary / "made").iterdir():
+                made.rename(temporary / made.name)
+            (temporary / "made").rmdir()
+    return reports
+
+
+def write_record(path: pathlib.Path, values: Mapping[str, float], study: "Study") -> None:
+    """Figures with what made them; those of others in the same file (benchmarks) stay as they are."""
+    from pipelines.provenance import commit, machine
+
+    earlier = read_json(path) if path.is_file() else {"figures": {}, "studied": []}
+    kept = {name: value for name, value in earlier["figures"].items() if name not in earlier.get("studied", ())}
+    figures = {name: value if isinstance(value, bool) else round(value, 6) for name, value in values.items()}
+    preset = os.environ.get(presets.VARIABLE) or "default"
+    write_json(
+        path,
+        {
+            **earlier,
+            "figures": kept | figures,
+            "studied": sorted(figures),
+            "missing": [cell.name for cell in study.settings.cells() if study.find(cell) is None],
+            "command": "make study" + ("" if preset == "default" else f" PRESET={preset}"),
+            "commit": commit(),
+            "seeds": {"augmentation": study.augmentation.seed, "members_from": study.settings.first_seed},
+            "machine": machine(),
+        },
+    )
+
+
+class _Watch:
+    """Tells in the terminal what is being done, and how long the rest will take at the speed so far."""
+
+    def __init__(self, study: "Study", cells: "list[Cell]") -> None:
+        self.left = {cell.name: study.steps_left(cell) for cell in cells}
+        self.seen: dict[str, int] = {}
+        self.n_done, self.began_s, self.spoke_s = 0, time.monotonic(), 0.0
+        self.cell = ""
+
+    def begin(self, cell: "Cell") -> None:
+        self.cell, self.seen = cell.name, {}
+        print(f"{_now()}  {cell.name}: {cell.n_members} members, {self.left[cell.name]} steps to go", flush=True)
+
+    def end(self, cell: "Cell") -> None:
+        self.left[cell.name] = 0
+        print(f"{_now()}  {cell.name}: done", flush=True)
+
+    def step(self, name: str, step: "StepReport") -> None:
+        before = self.seen.get(name)
+        self.seen[name] = step.step
+        self.left[self.cell] -= step.step if before is None else step.step - before
+        self.n_done += 1 if before is None else step.step - before
+        text = f"{name} step {step.step} of {step.n_steps}, loss {step.loss:.3f}, {step.images_per_s:.1f} images/s"
+        self._every(15.0, f"{text}; {self._remaining()}")
+
+    def say(self, done: int, total: int, message: str) -> None:
+        self._every(15.0, f"{message} ({done} of {total})")
+
+    def _remaining(self) -> str:
+        left_s = sum(self.left.values()) * (time.monotonic() - self.began_s) / max(1, self.n_done)
+        return f"all cells in about {left_s / 3600:.0f} h {left_s % 3600 / 60:.0f} min"
+
+    def _every(self, interval_s: float, text: str) -> None:
+        if time.monotonic() - self.spoke_s >= interval_s:
+            self.spoke_s = time.monotonic()
+            print(f"{_now()}  {self.cell}: {text}", flush=True)
+
+
+def _now() -> str:
+    return time.strftime("%H:%M:%S")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
