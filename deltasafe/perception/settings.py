@@ -36,7 +36,7 @@ class NetworkSettings:
     pretrained: bool = True
     pyramid_channels: int = 128
     atrous_rates: tuple[int, ...] = (2, 4, 6)
-    separable_decoder: bool = True
+    separable_decoder: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "atrous_rates", tuple(self.atrous_rates))
@@ -58,6 +58,9 @@ class TrainingSettings:
         network: the network of every member.
         epochs: passes over the augmented set, reshuffled before each.
         batch_size: images a step.
+        small_share: share of the steps, from the first, that sees images reduced to ``small_scale``. Most of what is
+            learned does not need full resolution, and small images are cheap; what lies between fingers needs it.
+        small_scale: side of a reduced image relative to the stored one.
         peak_learning_rate: of AdamW; ``one_cycle`` rises to it over the first quarter and falls to zero,
             ``exponential`` starts there and is multiplied by ``epoch_decay`` after each epoch.
         weight_decay: of AdamW (decoupled); 0 is Adam.
@@ -70,6 +73,8 @@ class TrainingSettings:
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
     epochs: int = 4
     batch_size: int = 8
+    small_share: float = 0.0
+    small_scale: float = 0.625
     peak_learning_rate: float = 2e-3
     schedule: str = "one_cycle"
     epoch_decay: float = 0.8
@@ -84,6 +89,10 @@ class TrainingSettings:
                 raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.batch_size < 2:
             raise SettingsError(f"batch_size must be at least 2 (batch normalisation), got {self.batch_size}")
+        if not 0 <= self.small_share <= 1:
+            raise SettingsError(f"small_share must lie in [0, 1], got {self.small_share}")
+        if not 0 < self.small_scale <= 1:
+            raise SettingsError(f"small_scale must lie in (0, 1], got {self.small_scale}")
         if not (math.isfinite(self.peak_learning_rate) and self.peak_learning_rate > 0):
             raise SettingsError(f"peak_learning_rate must be positive, got {self.peak_learning_rate}")
         if self.schedule not in SCHEDULES:

@@ -9,16 +9,14 @@ import math
 import pathlib
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
 from torch.nn import functional
 
 from deltasafe.errors import SettingsError
 from deltasafe.perception.augmented_set import AugmentedSet
+from deltasafe.perception.batches import Batches
 from deltasafe.perception.checkpoint import Checkpoint
 from deltasafe.perception.member import Member
 from deltasafe.perception.network import build_network, pretrained_weights_at_hand
@@ -117,19 +115,17 @@ def train_member(
     checkpoint = Checkpoint(folder / "checkpoint.safetensors", identity)
     losses: list[float] = checkpoint.restore(network, optimiser)
 
-    steps_per_epoch = n_images // settings.batch_size
-    n_steps = settings.epochs * steps_per_epoch
+    batches = Batches(data, settings, seed)
+    n_steps = batches.n_steps
     began_s, began_step = time.perf_counter(), len(losses)
     for step in range(len(losses), n_steps):
-        epoch, position = divmod(step, steps_per_epoch)
-        rate = learning_rate(settings, step, steps_per_epoch)
+        rate = learning_rate(settings, step, batches.per_epoch)
         for group in optimiser.param_groups:
             group["lr"] = rate
-        batch = _shuffled(n_images, seed, epoch)[position * settings.batch_size :][: settings.batch_size]
-        images, masks = _to_device(data, batch, target)
+        images, labels = batches.read(step, target)
         torch.manual_seed(_mix(seed, step))
         with multiplying(precision, target):
-            loss = functional.binary_cross_entropy_with_logits(forward(images), masks)
+            loss = functional.binary_cross_entropy_with_logits(forward(images), labels)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -142,7 +138,7 @@ def train_member(
         done = step + 1
         if on_step is not None:
             speed = settings.batch_size * (done - began_step) / (time.perf_counter() - began_s)
-            on_step(StepReport(done, n_steps, epoch + 1, losses[-1], rate, speed))
+            on_step(StepReport(done, n_steps, step // batches.per_epoch + 1, losses[-1], rate, speed))
         if done % settings.checkpoint_every_steps == 0 and done < n_steps:
             checkpoint.save(network, optimiser, losses)
 
@@ -159,7 +155,7 @@ def train_member(
             "image_size": [data.images.shape[2], data.images.shape[1]],
             "pretrained_weights": pretrained_weights_at_hand(settings.network),
             "losses": losses,
-            "steps_per_epoch": steps_per_epoch,
+            "steps_per_epoch": batches.per_epoch,
         },
     )
     checkpoint.discard()
@@ -168,14 +164,3 @@ def train_member(
 
 def _mix(seed: int, number: int) -> int:
     return int(np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0] >> 1)
-
-
-def _shuffled(n_images: int, seed: int, epoch: int) -> NDArray[np.int64]:
-    return np.random.default_rng((seed, 1, epoch)).permutation(n_images)
-
-
-def _to_device(data: AugmentedSet, batch: NDArray[np.int64], target: torch.device) -> tuple[Tensor, Tensor]:
-    """(B, 3, H, W) uint8 in channels-last order, as it lies on disk, and (B, H, W) float32 masks."""
-    images: Any = torch.from_numpy(np.ascontiguousarray(data.images[batch])).permute(0, 3, 1, 2)
-    masks = torch.from_numpy(np.ascontiguousarray(data.labels(batch)))
-    return images.to(target), masks.to(target)

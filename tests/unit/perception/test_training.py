@@ -9,7 +9,10 @@ import torch
 
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.perception.augmented_set import AugmentedSet
+from deltasafe.perception.batches import Batches
 from deltasafe.perception.member import Member
+from deltasafe.perception.network import build_network
+from deltasafe.perception.precision import prepare
 from deltasafe.perception.settings import NetworkSettings, TrainingSettings
 from deltasafe.perception.training import learning_rate, train_member
 
@@ -40,6 +43,9 @@ class SetInMemory:
     masks: np.ndarray
     digest: str = "0" * 64
 
+    def labels(self, batch):
+        return self.masks[batch].astype(np.float32)
+
 
 def weights(member):
     from safetensors.torch import load_file
@@ -48,7 +54,7 @@ def weights(member):
 
 
 def test_the_stand_in_has_what_the_real_set_has():
-    assert {"images", "masks", "digest"} <= {field.name for field in dataclasses.fields(AugmentedSet)} | set(
+    assert {"images", "masks", "digest", "labels"} <= {field.name for field in dataclasses.fields(AugmentedSet)} | set(
         vars(AugmentedSet)
     )
 
@@ -154,6 +160,8 @@ def test_exponential_decay_is_a_step_an_epoch():
         {"schedule": "cosine"},
         {"peak_learning_rate": 0.0},
         {"precision": "int8"},
+        {"small_share": 1.5},
+        {"small_scale": 0.0},
     ],
     ids=str,
 )
@@ -214,3 +222,40 @@ def test_members_side_by_side_are_those_trained_alone(data, tmp_path):
         torch.set_num_threads(cores)
     assert together["member_1"].losses == alone.losses
     assert together["member_0"].losses != alone.losses
+
+
+def test_small_images_are_means_over_areas_and_come_first(data):
+    batches = Batches(data, dataclasses.replace(SMALL, small_share=0.5, small_scale=0.5), seed=3)
+    plain = Batches(data, SMALL, seed=3)
+    assert batches.n_steps == plain.n_steps == 8
+    for step in range(batches.n_steps):
+        (images, labels), (whole, mask) = (source.read(step, torch.device("cpu")) for source in (batches, plain))
+        if step < 4:
+            assert images.shape == (4, 3, 24, 32)
+            assert torch.allclose(images, whole.float().unflatten(2, (24, 2)).unflatten(4, (32, 2)).mean((3, 5)))
+            assert torch.allclose(labels.mean(), mask.mean())
+        else:
+            assert torch.equal(images, whole)
+            assert torch.equal(labels, mask)
+
+
+def test_every_epoch_shows_every_image_once(data):
+    batches = Batches(data, SMALL, seed=5)
+    seen = [batches.read(step, torch.device("cpu"))[0] for step in range(batches.per_epoch)]
+    pictures = {picture.numpy().tobytes() for batch in seen for picture in batch}
+    assert pictures == {np.ascontiguousarray(picture.transpose(2, 0, 1)).tobytes() for picture in data.images}
+
+
+def test_bfloat16_changes_dense_convolutions_alone_and_little():
+    images = torch.randint(0, 256, (2, 3, 48, 64), generator=torch.Generator().manual_seed(0))
+    network = build_network(SMALL.network, 1).eval()
+    with torch.no_grad():
+        exact = network(images)
+        prepare(network, "bfloat16", torch.device("cpu"))
+        low = network(images)
+    assert low.dtype == torch.float32
+    assert not torch.equal(exact, low)
+    assert (exact - low).abs().max() < 0.05 * exact.abs().max()
+    changed = {module for module in network.modules() if type(module).__name__ == "_Bfloat16Convolution"}
+    assert changed
+    assert all(module.groups == 1 for module in changed)
