@@ -13,6 +13,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration import (
     Calibration,
     delta_support,
+    held_out_support,
     require_supported_delta,
     smallest_supported_delta,
 )
@@ -149,3 +150,29 @@ def test_a_delta_below_an_unsupported_one_is_not_supported_either():
     holds = {row.delta: row.upper_bound <= row.delta for row in rows}
     assert [holds[delta] for delta in (0.02, 0.05, 0.15)] == [True, False, True]
     assert smallest_supported_delta(rows) == 0.15
+
+
+def test_a_delta_is_judged_on_images_that_its_fit_has_not_seen():
+    counts = images_with_misses([0, 3, 0, 8, 1, 0, 90, 2])
+    parts = [np.array([0, 4]), np.array([1, 2, 3]), np.array([5, 6, 7])]
+    fits = [counts.take(np.setdiff1d(np.arange(8), part)) for part in parts]
+    result = held_out_support(counts, fits, parts, n_bootstrap=200, seed=2)
+    deltas = [smallest_supported_delta(delta_support(fit, n_bootstrap=200, seed=2)) for fit in fits]
+    clear = missed = 0
+    for delta, part in zip(deltas, parts, strict=True):
+        for image in part.tolist():
+            for k, bound in enumerate(DELTA_GRID):
+                if bound <= delta:
+                    clear += int(counts.count[image, k])
+                    missed += int(counts.event[image, k])
+    assert (result.n_fits, result.n_without_delta) == (3, 0)
+    assert (result.lowest, result.highest) == (min(deltas), max(deltas))
+    assert result.occupied_share == pytest.approx(missed / clear, abs=1e-12)
+    assert result.clear_share == pytest.approx(clear / (8 * SIDE * SIDE), abs=1e-12)
+
+
+def test_a_fit_that_supports_no_delta_takes_nothing_for_free():
+    all_hand = stack_counts([safety_counts(np.full((4, 4), 0.01), np.ones((4, 4), bool))] * 4)
+    result = held_out_support(all_hand, [all_hand], [np.arange(4)], n_bootstrap=100)
+    assert (result.n_without_delta, result.lowest, result.highest) == (1, None, None)
+    assert (result.clear_share, result.occupied_share) == (0.0, None)
