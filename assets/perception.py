@@ -46,10 +46,15 @@ class MemberConfig(dg.Config):
 
 
 class ReportConfig(dg.Config):
-    """How the ensemble looks at the test images, and how its report is computed."""
+    """How the ensemble looks at the test images, and how its report is computed.
+
+    `calibration_folder` holds further labelled images (images/, masks/) to fit temperature, delta and threshold on;
+    empty to fit and judge on the test images in turn.
+    """
 
     inference: InferenceConfig = InferenceConfig()
     calibration: CalibrationConfig = CalibrationConfig()
+    calibration_folder: str = ""
     device: str = "auto"
 
 
@@ -125,16 +130,21 @@ def calibration_report(
     context: dg.AssetExecutionContext,
     config: ReportConfig,
     ensemble_member: dict[str, pathlib.Path],
+    raw_hands: pathlib.Path,
     test_hands: pathlib.Path,
     store: dg.ResourceParam[Store],
     tracker: dg.ResourceParam[Tracker],
 ) -> dg.Output[pathlib.Path]:
     """May the mean of the members be called a probability? Judged on all pixels of the test images."""
     from deltasafe.perception.ensemble_evaluation import evaluate_members
-    from deltasafe.perception.hands import HandSet
+    from deltasafe.perception.hands import HandSet, check_disjoint
     from deltasafe.perception.member import Member
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
+    calibration = None
+    if config.calibration_folder:
+        calibration = HandSet.load(config.calibration_folder)
+        check_disjoint(HandSet.load(raw_hands), calibration)
     folder = store.folder("calibration_report", context.run_id[:8])
     report = evaluate_members(
         trained,
@@ -145,6 +155,7 @@ def calibration_report(
         planning_delta=PRESET.motion.delta,
         device=config.device,
         progress=progress_of(context),
+        calibration=calibration,
     )
     tracker.report(trained[0].ensemble_identity, report.figures(), folder)
     metadata: Metadata = {"report": inline_report(folder / "report.md"), **report.figures(), "folder": str(folder)}
