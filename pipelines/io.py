@@ -15,7 +15,8 @@ class FolderPointers(dg.ConfigurableIOManager):
     """Assets write folders themselves, whole or not at all, and return the path; this remembers it.
 
     A pointer is replaced only after its folder is complete, so a reader sees the old version or the new one.
-    A partitioned asset returns `dict[partition, path]` and is read in the same form.
+    A partitioned asset returns `dict[partition, path]` and is read in the same form; who reads it with the
+    metadata `allow_missing_partitions` gets those that were made.
     """
 
     home: str
@@ -34,6 +35,8 @@ class FolderPointers(dg.ConfigurableIOManager):
         if not context.has_asset_partitions:
             return self.folder(context.asset_key, run_id=run_id)
         keys = sorted(context.asset_partition_keys)
+        if context.definition_metadata.get("allow_missing_partitions", False):
+            keys = [key for key in keys if self._pointer(context.asset_key, key).is_file()]
         return {key: self.folder(context.asset_key, key, run_id) for key in keys}
 
     def folder(self, asset_key: dg.AssetKey, partition: str | None = None, run_id: str | None = None) -> pathlib.Path:

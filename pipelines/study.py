@@ -8,19 +8,23 @@ import os
 import pathlib
 import sys
 import time
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from assets.interfaces import Store
+from assets.study import CellConfig, open_study
 from deltasafe import presets
-from deltasafe.storage import atomic_folder, read_json, write_json
+from deltasafe.storage import read_json, write_json
 from pipelines.home import DATASETS, home
 
 if TYPE_CHECKING:
     from deltasafe.perception.study import Cell
     from deltasafe.perception.study.study import Study
+    from deltasafe.perception.study.tables import Reports
     from deltasafe.perception.training import StepReport
 
 __all__ = ["main"]
+
+_FEW_STEPS = 20
 
 
 def main() -> int:
@@ -35,7 +39,7 @@ def main() -> int:
     if unknown := sorted(set(options.cells) - set(names)):
         parser.error(f"no such cells: {', '.join(unknown)}; there are {', '.join(names)}")
     root = (options.home or home()).expanduser().resolve()
-    study = open_study(root, options.workers)
+    study = open_packaged(root, options.workers)
     print(f"Everything that is made goes to {study.store.home}", flush=True)
     chosen = [cell for cell in study.settings.cells() if cell.name in options.cells]
     watch = _Watch(study, chosen)
@@ -49,49 +53,33 @@ def main() -> int:
     return int(len(reports) < len(names))
 
 
-def open_study(root: pathlib.Path, workers: int = 0) -> "Study":
-    """The study of the active preset on the packaged data."""
-    from deltasafe.perception.hands import HandSet
-    from deltasafe.perception.study.store import StudyStore
-    from deltasafe.perception.study.study import Study
-
-    preset, registry = presets.active(), DATASETS / "registry.sha256"
-    return Study(
-        settings=preset.study,
-        augmentation=preset.augmentation,
-        training=preset.training,
-        inference=preset.inference,
-        calibration=preset.calibration,
-        train=HandSet.load(DATASETS / "hands" / "train", registry),
-        test=HandSet.load(DATASETS / "hands" / "test", registry),
-        backgrounds=DATASETS / "backgrounds",
-        store=StudyStore(root / "store"),
-        workers=workers,
-    )
+def open_packaged(root: pathlib.Path, workers: int = 0) -> "Study":
+    """The study of the active preset on the packaged data, as the assets open it."""
+    hands = DATASETS / "hands"
+    return open_study(CellConfig(workers=workers), hands / "train", hands / "test", Store(root, DATASETS))
 
 
-def report(study: "Study", root: pathlib.Path, record: pathlib.Path | None) -> Mapping[str, object]:
+def report(study: "Study", root: pathlib.Path, record: pathlib.Path | None) -> "Reports":
     """Write what is finished below ``root``, and to ``record`` with its pictures beside it."""
-    from deltasafe.perception.study.writing import study_values, write_study
+    from deltasafe.perception.study.writing import write_study
 
     reports = study.finished()
     write_study(root / "study-report", study.settings, reports)
-    values = study_values(study.settings, reports)
-    write_record(root / "study-report.json", values, study)
+    for destination in (root / "study-report.json", record):
+        if destination is not None:
+            write_record(destination, study, reports)
     if record is not None:
-        write_record(record, values, study)
-        with atomic_folder(record.with_suffix("")) as temporary:
-            write_study(temporary / "made", study.settings, reports)
-            for made in (temporary / "made").iterdir():
-                made.rename(temporary / made.name)
-            (temporary / "made").rmdir()
+        write_study(record.with_suffix(""), study.settings, reports)
     return reports
 
 
-def write_record(path: pathlib.Path, values: Mapping[str, float], study: "Study") -> None:
+def write_record(path: pathlib.Path, study: "Study", reports: "Reports") -> None:
     """Figures with what made them; those of others in the same file (benchmarks) stay as they are."""
+    from deltasafe.perception.study.tables import missing_cells
+    from deltasafe.perception.study.writing import study_values
     from pipelines.provenance import commit, machine
 
+    values = study_values(study.settings, reports)
     earlier = read_json(path) if path.is_file() else {"figures": {}, "studied": []}
     kept = {name: value for name, value in earlier["figures"].items() if name not in earlier.get("studied", ())}
     figures = {name: value if isinstance(value, bool) else round(value, 6) for name, value in values.items()}
@@ -102,7 +90,7 @@ def write_record(path: pathlib.Path, values: Mapping[str, float], study: "Study"
             **earlier,
             "figures": kept | figures,
             "studied": sorted(figures),
-            "missing": [cell.name for cell in study.settings.cells() if study.find(cell) is None],
+            "missing": missing_cells(study.settings.cells(), reports),
             "command": "make study" + ("" if preset == "default" else f" PRESET={preset}"),
             "commit": commit(),
             "seeds": {"augmentation": study.augmentation.seed, "members_from": study.settings.first_seed},
@@ -117,7 +105,7 @@ class _Watch:
     def __init__(self, study: "Study", cells: "list[Cell]") -> None:
         self.left = {cell.name: study.steps_left(cell) for cell in cells}
         self.seen: dict[str, int] = {}
-        self.n_done, self.began_s, self.spoke_s = 0, time.monotonic(), 0.0
+        self.n_done, self.began_s, self.spoke_s = 0, 0.0, 0.0
         self.cell = ""
 
     def begin(self, cell: "Cell") -> None:
@@ -129,10 +117,13 @@ class _Watch:
         print(f"{_now()}  {cell.name}: done", flush=True)
 
     def step(self, name: str, step: "StepReport") -> None:
-        before = self.seen.get(name)
+        if not self.n_done:
+            self.began_s = time.monotonic()
+        # a training that goes on from its checkpoint begins beyond its first step
+        before = self.seen.get(name, step.step - 1)
+        self.left[self.cell] -= step.step - self.seen.get(name, 0)
         self.seen[name] = step.step
-        self.left[self.cell] -= step.step if before is None else step.step - before
-        self.n_done += 1 if before is None else step.step - before
+        self.n_done += step.step - before
         text = f"{name} step {step.step} of {step.n_steps}, loss {step.loss:.3f}, {step.images_per_s:.1f} images/s"
         self._every(15.0, f"{text}; {self._remaining()}")
 
@@ -140,7 +131,9 @@ class _Watch:
         self._every(15.0, f"{message} ({done} of {total})")
 
     def _remaining(self) -> str:
-        left_s = sum(self.left.values()) * (time.monotonic() - self.began_s) / max(1, self.n_done)
+        if self.n_done < _FEW_STEPS:
+            return f"{sum(self.left.values())} steps in all cells"
+        left_s = sum(self.left.values()) * (time.monotonic() - self.began_s) / self.n_done
         return f"all cells in about {left_s / 3600:.0f} h {left_s % 3600 / 60:.0f} min"
 
     def _every(self, interval_s: float, text: str) -> None:

@@ -22,6 +22,7 @@ CHAIN = [
     "executed_motions",
     "safety_report",
 ]
+STUDY = {"study_cell", "augmentation_tables", "ensemble_size", "augmentation_ablation"}
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def specs(defs):
 
 def test_data_flows_one_way_through_the_chain(defs):
     found = specs(defs)
-    assert set(found) == {*CHAIN, "test_hands", "logged_scenes"}
+    assert set(found) == {*CHAIN, *STUDY, "test_hands", "logged_scenes"}
     for before, after in itertools.pairwise(CHAIN):
         upstream = {dep.asset_key.to_user_string() for dep in found[after].deps}
         assert before in upstream, f"{after} does not follow {before}"
@@ -48,7 +49,16 @@ def test_test_images_enter_at_the_calibration_report_and_nowhere_before(defs):
         for name, spec in specs(defs).items()
         if "test_hands" in {dep.asset_key.to_user_string() for dep in spec.deps}
     }
-    assert readers == {"calibration_report"}
+    assert readers == {"calibration_report", "study_cell"}
+    assert {name for name, spec in specs(defs).items() if spec.group_name == "study"} == STUDY
+
+
+def test_the_chain_neither_waits_for_the_studies_nor_runs_them(defs):
+    keys = defs.resolve_job_def("everything").asset_layer.selected_asset_keys
+    assert {key.to_user_string() for key in keys} == {*CHAIN, "test_hands", "logged_scenes"}
+    found = specs(defs)
+    for name in CHAIN:
+        assert not STUDY & {dep.asset_key.to_user_string() for dep in found[name].deps}
 
 
 def test_everything_is_described_owned_and_versioned(defs):
@@ -57,7 +67,7 @@ def test_everything_is_described_owned_and_versioned(defs):
         assert spec.owners, name
         assert spec.kinds, name
         assert spec.code_version, name
-        assert spec.group_name in ("perception", "motion"), name
+        assert spec.group_name in ("perception", "motion", "study"), name
 
 
 def test_checks_before_the_freeze_block_it(defs):

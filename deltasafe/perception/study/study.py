@@ -130,7 +130,7 @@ class Study:
         if len(members) < cell.n_members:
             return None
         try:
-            return CalibrationReport.load(self._report_folder(members))
+            return CalibrationReport.load(self.report_folder(cell))
         except DataError:
             return None
 
@@ -179,7 +179,7 @@ class Study:
         members = self.members(cell, on_step, progress)
         ids = [item.id for item in self.test.items]
         report = calibrate(ids, self._labels, self.predictions(members, progress), self.calibration, progress)
-        write_json(self._report_folder(members) / "report.json", report)
+        write_json(self.report_folder(cell) / "report.json", report)
         return report
 
     def _seeds(self, cell: Cell) -> range:
@@ -193,8 +193,9 @@ class Study:
         key = [cell.scheme, self.scheme_settings(cell), self.train.digest, backgrounds, digest_of_sources(*_MAKES_SETS)]
         return self.store.augmented_set(digest_of(key))
 
-    def _report_folder(self, members: Sequence[Member]) -> pathlib.Path:
-        key = [[self._prediction_key(m) for m in members], self.calibration, FORMAT_VERSION]
+    def report_folder(self, cell: Cell) -> pathlib.Path:
+        """Where `judge` keeps the report of ``cell``, whose members are finished."""
+        key = [[self._prediction_key(member) for member in self.find_members(cell)], self.calibration, FORMAT_VERSION]
         return self.store.report(digest_of(key))
 
     def _prediction_key(self, member: Member) -> str:

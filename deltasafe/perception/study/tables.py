@@ -143,9 +143,9 @@ def best_everywhere(rows: Sequence[SchemeRow], settings: StudySettings) -> bool 
     return all(bool((_signed(mine) > _signed(theirs)).all()) for mine, theirs in others)
 
 
-def missing_cells(settings: StudySettings, reports: Reports) -> tuple[str, ...]:
-    """Names of the cells that are not finished, in the order of work."""
-    return tuple(cell.name for cell in settings.cells() if cell.name not in reports)
+def missing_cells(cells: Sequence[Cell], reports: Reports) -> tuple[str, ...]:
+    """Names of those of ``cells`` that are not finished."""
+    return tuple(cell.name for cell in cells if cell.name not in reports)
 
 
 _SIGN = np.array([{"pixel_accuracy": 1.0, "miou": 1.0, "brier": -1.0, "nll": -1.0}[name] for name in _FIELDS])

@@ -1,7 +1,9 @@
 """The studies as a folder: `report.md` with tables and pictures, and every figure by a short name."""
 
+import dataclasses
 import pathlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from deltasafe.perception.ensemble_size import ensemble_size_table, ensemble_size_values
 from deltasafe.perception.metrics import Scores
@@ -18,49 +20,82 @@ from deltasafe.perception.study.tables import (
 )
 from deltasafe.storage import atomic_folder
 
-__all__ = ["ablation_markdown", "scheme_markdown", "study_values", "write_study"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["SECTIONS", "ablation_markdown", "scheme_markdown", "study_values", "write_study"]
+
+SECTIONS = ("schemes", "ensemble_size", "ablation")
 
 _SHORT = {"pixel_accuracy": "pa", "miou": "miou", "nll": "nll", "brier": "bs"}
 
 
-def write_study(folder: str | pathlib.Path, settings: StudySettings, reports: Reports) -> pathlib.Path:
+def write_study(
+    folder: str | pathlib.Path, settings: StudySettings, reports: Reports, sections: Sequence[str] = SECTIONS
+) -> pathlib.Path:
     """Write what is finished; what is not is named as missing. The folder appears as a whole or not at all.
+
+    Args:
+        folder: destination, replaced if it exists.
+        reports: of the finished cells, by name.
+        sections: some of `SECTIONS`.
 
     Returns:
         path of `report.md`.
     """
-    from matplotlib.figure import Figure
-
-    from deltasafe.figures.ensemble_size import ensemble_reliability_figure, ensemble_size_figure
-    from deltasafe.figures.schemes import ablation_figure, scheme_figure, scheme_tables_figure
-
-    rows, without = scheme_rows(settings, reports), ablation_rows(settings, reports)
-    largest = reports.get(settings.largest.name)
-    pictures: dict[str, Callable[[], Figure]] = {}
-    parts = ["# Perception as in section V-A of the paper"]
-    if missing := missing_cells(settings, reports):
-        parts.append(f"Not finished yet: {', '.join(missing)}.")
-    parts.append("## Augmentation schemes (Tables I and II)")
-    if rows:
-        pictures["tables-1-2.png"] = lambda: scheme_tables_figure(rows)
-        pictures["schemes.png"] = lambda: scheme_figure(rows)
-        parts += [scheme_markdown(rows, settings), "![Schemes](schemes.png)"]
-    parts.append(f"## Ensemble size (Table III and Fig. 4): our scheme, {settings.sizes[-1]} images")
-    if largest is not None:
-        pictures["table-3.png"] = lambda: ensemble_size_figure(largest)
-        pictures["figure-4.png"] = lambda: ensemble_reliability_figure(largest)
-        parts += [ensemble_size_table(largest), "![Table III](table-3.png)", "![Fig. 4](figure-4.png)"]
-    parts.append("## Ablation: one method left out")
-    if without:
-        parts.append(ablation_markdown(without))
-        if any(row.loss is not None for row in without):
-            pictures["ablation.png"] = lambda: ablation_figure(without)
-            parts.append("![Ablation](ablation.png)")
+    write = {"schemes": _schemes, "ensemble_size": _ensemble_size, "ablation": _ablation}
+    made = [write[name](settings, reports) for name in sections]
     with atomic_folder(folder) as temporary:
-        for name, draw in pictures.items():
-            draw().savefig(temporary / name, dpi=110, facecolor="white")
-        (temporary / "report.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+        for name, figure in (item for section in made for item in section.pictures.items()):
+            figure.savefig(temporary / name, dpi=110, facecolor="white")
+        text = "\n\n".join(part for section in made for part in section.parts)
+        (temporary / "report.md").write_text(text + "\n", encoding="utf-8")
     return pathlib.Path(folder) / "report.md"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Section:
+    parts: Sequence[str]
+    pictures: "Mapping[str, Figure]"
+
+
+def _section(title: str, missing: Sequence[str], text: str, pictures: "Mapping[str, Figure]") -> _Section:
+    parts = [f"## {title}"]
+    if missing:
+        parts.append(f"Not finished yet: {', '.join(missing)}.")
+    if text:
+        parts.append(text)
+    return _Section([*parts, *(f"![{name.removesuffix('.png')}]({name})" for name in pictures)], pictures)
+
+
+def _schemes(settings: StudySettings, reports: Reports) -> _Section:
+    from deltasafe.figures.schemes import scheme_figure, scheme_tables_figure
+
+    rows = scheme_rows(settings, reports)
+    pictures = {"tables-1-2.png": scheme_tables_figure(rows), "schemes.png": scheme_figure(rows)} if rows else {}
+    text = scheme_markdown(rows, settings) if rows else ""
+    missing = missing_cells(settings.schemes(), reports)
+    return _section("Augmentation schemes (Tables I and II)", missing, text, pictures)
+
+
+def _ensemble_size(settings: StudySettings, reports: Reports) -> _Section:
+    from deltasafe.figures.ensemble_size import ensemble_reliability_figure, ensemble_size_figure
+
+    title = f"Ensemble size (Table III and Fig. 4): our scheme, {settings.sizes[-1]} images"
+    if (report := reports.get(settings.largest.name)) is None:
+        return _section(title, [settings.largest.name], "", {})
+    pictures = {"table-3.png": ensemble_size_figure(report), "figure-4.png": ensemble_reliability_figure(report)}
+    return _section(title, (), ensemble_size_table(report), pictures)
+
+
+def _ablation(settings: StudySettings, reports: Reports) -> _Section:
+    from deltasafe.figures.schemes import ablation_figure
+
+    rows = ablation_rows(settings, reports)
+    pictures = {"ablation.png": ablation_figure(rows)} if any(row.loss is not None for row in rows) else {}
+    text = ablation_markdown(rows) if rows else ""
+    missing = missing_cells((settings.largest, *settings.ablation()), reports)
+    return _section("Ablation: one method left out", missing, text, pictures)
 
 
 def scheme_markdown(rows: Sequence[SchemeRow], settings: StudySettings) -> str:
