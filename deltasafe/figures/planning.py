@@ -15,7 +15,7 @@ from deltasafe.planning import PlannedMotion, ToolBody
 from deltasafe.scene import Camera
 from deltasafe.storage import atomic_file
 
-__all__ = ["plan_over_image"]
+__all__ = ["body_outlines", "plan_over_image"]
 
 Array = NDArray[np.float64]
 INK, SIGNAL, LIMIT, CLEAR = "#1b1f24", "#0a7d6c", "#d1495b", "#3366aa"
@@ -97,7 +97,7 @@ def _draw_image(
     if path is not None:
         shown = motion.profile.poses if motion.profile is not None else path.poses
         uv, _ = camera.project(shown[:, :3])
-        for outline in _outlines(shown, body):
+        for outline in body_outlines(shown, body):
             edge, _ = camera.project(outline)
             ax.fill(*edge.T, facecolor="white", edgecolor=INK, alpha=0.16, lw=0)
             ax.plot(*edge.T, color=INK, lw=0.8, alpha=0.75)
@@ -157,7 +157,7 @@ def _draw_profile(axes: list[Axes], motion: PlannedMotion, table_z_m: float) -> 
     )
 
 
-def _outlines(poses: Array, body: ToolBody, apart_m: float = 0.035) -> list[Array]:
+def body_outlines(poses: Array, body: ToolBody, apart_m: float = 0.035) -> list[Array]:
     """Rims (M, 3) of the disc at poses about ``apart_m`` apart, both ends included."""
     steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + body.rho_max_m * np.abs(np.diff(poses[:, 3]))
     way = np.append(0.0, np.cumsum(steps))

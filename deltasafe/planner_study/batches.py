@@ -1,0 +1,111 @@
+"""Work in batches that are files: finished ones are found again, the others are done side by side."""
+
+import concurrent.futures
+import dataclasses
+import multiprocessing
+import pathlib
+import time
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.progress import Progress, silent
+from deltasafe.storage import atomic_file, digest_of, sha256_of_file
+
+__all__ = ["Batch", "Effort", "run_batches"]
+
+MADE_BY = (
+    "scene/*.py",
+    "planning/**/*.py",
+    *(f"planner_study/{name}.py" for name in ("scenes", "contenders", "comparison", "timing")),
+)
+"""Sources that decide what a batch holds; settings and scenes enter by their values."""
+
+Batch: TypeAlias = Mapping[str, NDArray[Any]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Effort:
+    """What all batches took, those included that were found.
+
+    Attributes:
+        minutes: by the clock if all were made in one go; else the sum over batches by the number of workers.
+        cpu_minutes: of all processes together, without their start.
+    """
+
+    minutes: float
+    cpu_minutes: float
+
+
+def run_batches(
+    work: Callable[..., Batch],
+    jobs: Sequence[tuple[str, tuple[Any, ...]]],
+    folder: str | pathlib.Path,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> tuple[list[Batch], Effort]:
+    """``work(*arguments)`` for every job ``(name, arguments)``, in the order of the jobs, and what that took.
+
+    A batch is stored as `NAME-DIGEST.npz`, the digest being that of its arguments and of the code that makes it: a run
+    that was interrupted goes on where it stopped, and one with other settings or other code begins anew.
+
+    Args:
+        work: a function of a module, whose arguments have a JSON form.
+        workers: processes; with one, the work is done in this process.
+    """
+    if workers < 1:
+        raise SettingsError(f"workers must be at least 1, got {workers}")
+    began_s = time.monotonic()
+    folder, code = pathlib.Path(folder), _digest_of_sources()
+    files = [
+        folder / f"{name}-{digest_of([work.__module__, work.__qualname__, code, arguments])[:16]}.npz"
+        for name, arguments in jobs
+    ]
+    missing = [index for index, file in enumerate(files) if not file.is_file()]
+    done = len(jobs) - len(missing)
+    progress(done, len(jobs), "batches were already there" if done else "batches to do")
+    tasks = [(work, files[index], jobs[index][1]) for index in missing]
+    if workers == 1 or len(tasks) <= 1:
+        for index, task in zip(missing, tasks, strict=True):
+            _store(*task)
+            done += 1
+            progress(done, len(jobs), jobs[index][0])
+    else:
+        context = multiprocessing.get_context("spawn")
+        with concurrent.futures.ProcessPoolExecutor(min(workers, len(tasks)), mp_context=context) as pool:
+            waiting = {pool.submit(_store, *task): jobs[index][0] for index, task in zip(missing, tasks, strict=True)}
+            for future in concurrent.futures.as_completed(waiting):
+                future.result()
+                done += 1
+                progress(done, len(jobs), waiting[future])
+    batches = [_read(file) for file in files]
+    minutes = (time.monotonic() - began_s) / 60
+    if len(missing) < len(jobs):
+        minutes = sum(float(batch["wall_s"]) for batch in batches) / 60 / workers
+    return batches, Effort(minutes, sum(float(batch["cpu_s"]) for batch in batches) / 60)
+
+
+def _digest_of_sources() -> str:
+    root = pathlib.Path(__file__).parent.parent
+    files = [file for name in MADE_BY for file in sorted(root.glob(name))]
+    return digest_of([[file.relative_to(root).as_posix(), sha256_of_file(file)] for file in files])
+
+
+def _store(work: Callable[..., Batch], file: pathlib.Path, arguments: tuple[Any, ...]) -> None:
+    wall_s, cpu_s = time.monotonic(), time.process_time()
+    arrays = dict(work(*arguments))
+    arrays["wall_s"], arrays["cpu_s"] = np.array(time.monotonic() - wall_s), np.array(time.process_time() - cpu_s)
+    with atomic_file(file) as temporary:
+        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
+
+
+def _read(file: pathlib.Path) -> Batch:
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+        raise DataError(file, f"is not a finished batch ({error}); delete it, and it is made again") from error
