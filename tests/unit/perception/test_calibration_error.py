@@ -90,6 +90,10 @@ def test_errors_that_cancel_within_the_last_bin_are_seen_by_bins_of_equal_mass()
     assert result.adaptive == pytest.approx((0.03 + 0.03) / 2)
 
 
+def test_there_are_fifteen_bins_of_equal_mass():
+    assert ADAPTIVE_BINS == 15
+
+
 @given(counts=st.lists(st.integers(0, 50), min_size=1, max_size=60).filter(any), n_bins=st.integers(1, 12))
 def test_bins_of_equal_mass_keep_the_order_and_differ_by_no_more_than_a_fine_bin(counts, n_bins):
     group = equal_mass_bins(np.array(counts), n_bins)

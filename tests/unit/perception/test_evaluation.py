@@ -7,13 +7,15 @@ import pytest
 from calibration_cases import synthetic_ensemble
 
 from deltasafe.errors import SettingsError
+from deltasafe.perception.calibration import held_out_support
 from deltasafe.perception.calibration_report import CalibrationSettings
 from deltasafe.perception.evaluation import calibrate
 from deltasafe.perception.labelled_predictions import LabelledPredictions
 from deltasafe.perception.metrics import score_image
 from deltasafe.perception.predictions import MemberPredictions
 from deltasafe.perception.recalibration import apply_temperature, fit_temperature, logit_counts, stack_logit_counts
-from deltasafe.perception.reliability import DELTA_GRID
+from deltasafe.perception.reliability import DELTA_GRID, safety_counts, stack_counts
+from deltasafe.perception.risk_control import conformal_threshold, missed_hand_shares
 
 FAST = CalibrationSettings(n_bootstrap=300)
 NAMES, LABELS, PREDICTIONS = synthetic_ensemble()
@@ -133,6 +135,13 @@ def test_an_image_is_judged_by_nothing_that_was_fitted_on_it(report):
 def test_the_calibration_to_store_is_that_of_the_ensemble_as_it_is_used(recalibrate):
     settings = dataclasses.replace(FAST, recalibrate=recalibrate, missed_hand_alpha=0.3)
     report = calibrate(NAMES, LABELS, PREDICTIONS, settings)
+    shares = [
+        missed_hand_shares(stack.astype(float).mean(axis=0), label)
+        for stack, label in zip(PREDICTIONS, LABELS, strict=True)
+    ]
+    plain = conformal_threshold(np.array(shares), 0.3)
+    carried = apply_temperature(np.array([plain]), report.final.temperature).item()
+    assert report.risk_control.threshold == pytest.approx(carried, rel=1e-12)
     used = report.recalibrated if recalibrate else report.as_it_is
     assert report.final is used
     calibration = report.calibration
@@ -162,8 +171,9 @@ def test_figures_of_the_whole_ensemble_keep_their_names(report):
 def test_calibration_images_are_kept_apart():
     names, labels, predictions = synthetic_ensemble(n_images=9, seed=5)
     further = LabelledPredictions(names, labels, predictions)
+    settings = dataclasses.replace(FAST, missed_hand_alpha=0.3)
     told = []
-    report = calibrate(NAMES, LABELS, PREDICTIONS, FAST, lambda *args: told.append(args[:2]), further)
+    report = calibrate(NAMES, LABELS, PREDICTIONS, settings, lambda *args: told.append(args[:2]), further)
     assert (told[-1], len(told)) == ((30, 30), 21)
     assert report.calibration_image_ids == tuple(names)
     assert (report.n_calibration_images, report.calibration.n_images) == (9, 6)
@@ -176,12 +186,18 @@ def test_calibration_images_are_kept_apart():
         assert scores == score_image(apply_temperature(stack.astype(float).mean(axis=0), temperature), label)
     # delta and threshold come from the further images alone, whatever the test images are
     opposite = [np.float32(1) - stack for stack in PREDICTIONS]
-    other = calibrate(NAMES, LABELS, opposite, FAST, calibration=further)
+    other = calibrate(NAMES, LABELS, opposite, settings, calibration=further)
     assert other.recalibrated.support == result.support
     assert other.as_it_is.support == report.as_it_is.support
     assert [row.threshold for row in other.risk] == [row.threshold for row in report.risk]
-    assert [row.n_images for row in report.risk] == [9] * 4
+    assert [row.n_images for row in report.risk] == [9] * 5
     # and are judged on the test images
+    below = [
+        (apply_temperature(stack.astype(float).mean(axis=0), temperature)[label > 0] <= report.risk_control.threshold)
+        for stack, label in zip(PREDICTIONS, LABELS, strict=True)
+    ]
+    assert report.risk_control.held_out_mean == pytest.approx(np.mean([share.mean() for share in below]))
+    assert report.risk_control.held_out_worst == pytest.approx(max(share.mean() for share in below))
     held_out = result.held_out_delta
     assert (held_out.n_fits, held_out.lowest) == (1, result.smallest_supported_delta)
     q = np.concatenate(
@@ -191,6 +207,19 @@ def test_calibration_images_are_kept_apart():
     assert held_out.clear_share == pytest.approx((q <= held_out.lowest).mean())
     assert held_out.occupied_share == pytest.approx(y[q <= held_out.lowest].mean())
     assert other.recalibrated.held_out_delta.occupied_share > 0.5
+
+
+@pytest.mark.parametrize("n_folds", [0, 2])
+def test_without_them_delta_is_fitted_on_the_other_folds(n_folds):
+    report = calibrate(NAMES, LABELS, PREDICTIONS, dataclasses.replace(FAST, n_folds=n_folds))
+    means = [stack.astype(float).mean(axis=0) for stack in PREDICTIONS]
+    counts = stack_counts([safety_counts(p, label) for p, label in zip(means, LABELS, strict=True)])
+    fold = [i % (n_folds or 6) for i in range(6)]
+    parts = [np.array([i for i in range(6) if fold[i] == k]) for k in sorted(set(fold))]
+    others = [counts.take(np.array([i for i in range(6) if fold[i] != k])) for k in sorted(set(fold))]
+    expected = held_out_support(counts, others, parts, n_bootstrap=300)
+    assert report.as_it_is.held_out_delta == expected
+    assert expected.highest > report.as_it_is.smallest_supported_delta  # fewer images support less
 
 
 def test_members_of_calibration_images_must_be_the_same():

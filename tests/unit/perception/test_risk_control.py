@@ -68,6 +68,13 @@ def test_the_threshold_is_the_one_that_a_plain_search_finds(seed, n_images, alph
         assert k == len(THRESHOLD_GRID) - 1 or risk(k + 1) > alpha - 1e-12
 
 
+def test_a_pixel_at_the_threshold_counts_as_free_as_it_does_for_the_planner():
+    for k in (0, 1234, 3200):
+        result = missed_hand_shares(*image_at([THRESHOLD_GRID[k]]))
+        assert result[k] == 1.0
+        assert (result[:k] == 0.0).all()
+
+
 def test_golden_values():
     # ten images of ten hand pixels; image i has i pixels at 0.1, the others at 0.9
     losses = shares(image_at([0.1] * i + [0.9] * (10 - i)) for i in range(10))
