@@ -9,6 +9,7 @@ from deltasafe.perception.augmentation.settings import AugmentationSettings
 from deltasafe.perception.calibration_report import CalibrationSettings, GateThresholds
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
 from deltasafe.perception.study import StudySettings
+from deltasafe.planner_study.settings import ComparisonSettings, TimingSettings
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import FieldSettings
 
@@ -38,6 +39,8 @@ class Preset:
     # in the paper's experiment the area between path and table is penalised, so that the tool passes near the fingers
     motion: MotionSettings = dataclasses.field(default_factory=lambda: MotionSettings(cost="area"))
     execution: ExecutionSettings = dataclasses.field(default_factory=ExecutionSettings)
+    comparison: ComparisonSettings = dataclasses.field(default_factory=ComparisonSettings)
+    timing: TimingSettings = dataclasses.field(default_factory=TimingSettings)
     n_scenes: int = 0
     n_films: int = 3
 
@@ -60,6 +63,8 @@ PRESETS = {
             sizes=(50, 100), n_members=2, n_members_most=3, n_members_ablation=1, left_out=("background",)
         ),
         motion=MotionSettings(cost="area", delta=0.5),
+        comparison=ComparisonSettings(n_levels=2, n_runs=3, n_runs_beside=2, n_iterations=500, voxel_m=0.01),
+        timing=TimingSettings(counts=(1, 5, 20), n_runs=2, n_iterations=500, voxel_m=0.01),
         n_scenes=2,
         n_films=1,
     ),
@@ -70,11 +75,10 @@ PRESETS = {
         n_members=10,
         augmentation=AugmentationSettings(width=384, height=288, supersampling=1),
         training=TrainingSettings(
-            NetworkSettings(
-                "deeplabv3", "resnet50", pyramid_channels=256, atrous_rates=(12, 24, 36), separable_decoder=False
-            ),
+            NetworkSettings("deeplabv3", "resnet50", pyramid_channels=256, atrous_rates=(12, 24, 36)),
             epochs=3,
             batch_size=2,
+            small_share=0.0,
             peak_learning_rate=2e-4,
             schedule="exponential",
             epoch_decay=0.8,

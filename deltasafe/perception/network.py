@@ -36,12 +36,11 @@ class SegmentationNetwork(nn.Module):
 
         self.pyramid = ASPP(high_channels, list(settings.atrous_rates), width)
         self.skip: nn.Module | None = None
-        block = _separable_convolution if settings.separable_decoder else _convolution
         if settings.architecture == "deeplabv3plus":
             self.skip = _convolution(low_channels, 32, size=1)
-            self.decoder = nn.Sequential(block(width + 32, 96), block(96, 96), nn.Conv2d(96, 1, 1))
+            self.decoder = nn.Sequential(_convolution(width + 32, 96), _convolution(96, 96), nn.Conv2d(96, 1, 1))
         else:
-            self.decoder = nn.Sequential(block(width, width), nn.Conv2d(width, 1, 1))
+            self.decoder = nn.Sequential(_convolution(width, width), nn.Conv2d(width, 1, 1))
 
     def forward(self, images: Tensor) -> Tensor:
         images = (images.to(self.mean.dtype) - self.mean) / self.sd
@@ -68,11 +67,6 @@ def _convolution(inputs: int, outputs: int, size: int = 3) -> nn.Sequential:
     return nn.Sequential(
         nn.Conv2d(inputs, outputs, size, padding=size // 2, bias=False), nn.BatchNorm2d(outputs), nn.ReLU()
     )
-
-
-def _separable_convolution(inputs: int, outputs: int) -> nn.Sequential:
-    depthwise = nn.Conv2d(inputs, inputs, 3, padding=1, groups=inputs, bias=False)
-    return nn.Sequential(depthwise, nn.BatchNorm2d(inputs), *_convolution(inputs, outputs, size=1))
 
 
 class _Taps(nn.Module):

@@ -28,7 +28,6 @@ class NetworkSettings:
         pyramid_channels: width of the atrous pyramid; torchvision's default is 256.
         atrous_rates: of the pyramid, in cells of stride 16. torchvision's (12, 24, 36) are meant for maps of 65 x 65
             cells; on the 12 x 9 cells of a small image they reach outside everywhere and leave 1 x 1 convolutions.
-        separable_decoder: depthwise separable convolutions behind the pyramid, as in DeepLabv3+ (Chen et al. 2018).
     """
 
     architecture: str = "deeplabv3plus"
@@ -36,7 +35,6 @@ class NetworkSettings:
     pretrained: bool = True
     pyramid_channels: int = 128
     atrous_rates: tuple[int, ...] = (2, 4, 6)
-    separable_decoder: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "atrous_rates", tuple(self.atrous_rates))
@@ -73,7 +71,7 @@ class TrainingSettings:
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
     epochs: int = 4
     batch_size: int = 8
-    small_share: float = 0.0
+    small_share: float = 0.75
     small_scale: float = 0.625
     peak_learning_rate: float = 2e-3
     schedule: str = "one_cycle"

@@ -226,7 +226,7 @@ def test_members_side_by_side_are_those_trained_alone(data, tmp_path):
 
 def test_small_images_are_means_over_areas_and_come_first(data):
     batches = Batches(data, dataclasses.replace(SMALL, small_share=0.5, small_scale=0.5), seed=3)
-    plain = Batches(data, SMALL, seed=3)
+    plain = Batches(data, dataclasses.replace(SMALL, small_share=0.0), seed=3)
     assert batches.n_steps == plain.n_steps == 8
     for step in range(batches.n_steps):
         (images, labels), (whole, mask) = (source.read(step, torch.device("cpu")) for source in (batches, plain))
@@ -240,7 +240,7 @@ def test_small_images_are_means_over_areas_and_come_first(data):
 
 
 def test_every_epoch_shows_every_image_once(data):
-    batches = Batches(data, SMALL, seed=5)
+    batches = Batches(data, dataclasses.replace(SMALL, small_share=0.0), seed=5)
     seen = [batches.read(step, torch.device("cpu"))[0] for step in range(batches.per_epoch)]
     pictures = {picture.numpy().tobytes() for batch in seen for picture in batch}
     assert pictures == {np.ascontiguousarray(picture.transpose(2, 0, 1)).tobytes() for picture in data.images}
