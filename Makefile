@@ -1,5 +1,6 @@
 # make demo  sets everything up and runs the whole chain on the embedded data (preset: PRESET=default)
 # make test  sets everything up and runs the checks and tests
+# make hands OUT=folder N=50 SET=test-like  and  make scenes OUT=folder N=100  render more pictures (docs/data.md)
 # make ui    opens the Dagster UI (and MLflow's) on the same storage
 #
 # TORCH_INDEX=https://download.pytorch.org/whl/cpu makes the installation smaller on machines without a GPU.
@@ -13,7 +14,7 @@ STAMP := $(VENV)/.installed
 REQUIREMENTS := -e .[vision,sim] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: demo test ui check lock clean record study
+.PHONY: hands scenes surroundings demo test ui check lock clean record study
 
 demo: $(STAMP)
 	$(BIN)/python -m pipelines.demo
@@ -58,7 +59,29 @@ $(STAMP): pyproject.toml constraints.txt
 # constraints.txt: newest versions that install together, free of hosts
 lock:
 	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \
-	  --extra vision --extra sim --group orchestration --group dev pyproject.toml -o constraints.txt
+	  --extra vision --extra sim --group orchestration --group dev --group generator pyproject.toml -o constraints.txt
+
+# more rendered hands and scenes; `make surroundings` fetches light and surfaces once, without it they are procedural
+RENDERER := $(VENV)/.renderer-installed
+SET ?= test-like
+SEED ?= 0
+
+surroundings: $(RENDERER)
+	$(BIN)/python -m generator fetch
+
+hands: $(RENDERER)
+	$(BIN)/python -m generator hands --out '$(OUT)' --count '$(N)' --set $(SET) --seed $(SEED) $(OPTIONS)
+
+scenes: $(RENDERER)
+	$(BIN)/python -m generator scenes --out '$(OUT)' --count '$(N)' --seed $(SEED) $(OPTIONS)
+
+$(RENDERER): $(STAMP)
+	@if command -v uv >/dev/null 2>&1; then \
+	  VIRTUAL_ENV=$(VENV) uv pip install -q --group generator -c constraints.txt; \
+	else \
+	  $(BIN)/python -m pip install -q --group generator -c constraints.txt; \
+	fi
+	@touch $(RENDERER)
 
 clean:
 	rm -rf $(VENV)

@@ -1,5 +1,7 @@
 """Noise and curves: range, continuity, pinned values, and a brute-force distance."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -41,7 +43,7 @@ def test_smoothstep_runs_both_ways():
 def test_distance_agrees_with_many_points_along_the_line():
     rng = np.random.default_rng(0)
     line, points = rng.uniform(-1, 1, (5, 2)), rng.uniform(-2, 2, (100, 2))
-    dense = np.concatenate([np.linspace(a, b, 2001) for a, b in zip(line, line[1:], strict=False)])
+    dense = np.concatenate([np.linspace(a, b, 2001) for a, b in itertools.pairwise(line)])
     brute = np.linalg.norm(points[:, None] - dense, axis=2).min(axis=1)
     distance, place = distance_to_polyline(points, line)
     assert distance == pytest.approx(brute, abs=1e-3)

@@ -1,0 +1,75 @@
+"""The path tracer itself, on tiny pictures; only where Mitsuba is installed (``pip install --group generator``)."""
+
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from deltasafe.errors import SettingsError
+from deltasafe.perception.hands import HandSet
+from deltasafe.scene import LoggedScene
+from generator import TEST_LIKE, SceneSettings, Surroundings, draw_hand, make_hands, make_scenes
+from generator.backend import load_mitsuba
+from generator.mask import iou, silhouette
+from generator.staging import place_hand, set_stage
+
+pytest.importorskip("mitsuba")
+TINY = dataclasses.replace(TEST_LIKE, width=48, height=36, samples_per_pixel=2, seed=3)
+SCENE = SceneSettings(width=160, height=120, samples_per_pixel=2, seed=1)
+
+
+def mask_at(path):
+    from PIL import Image
+
+    with Image.open(path) as opened:
+        return np.asarray(opened) > 0
+
+
+def test_the_same_seed_gives_the_same_bytes_in_another_process(tmp_path):
+    make_hands(tmp_path / "here", 1, TINY)
+    program = (
+        "import dataclasses; from generator import TEST_LIKE, make_hands;"
+        "s = dataclasses.replace(TEST_LIKE, width=48, height=36, samples_per_pixel=2, seed=3);"
+        f"make_hands({str(tmp_path / 'there')!r}, 1, s)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+    for name in ("images/hand_0000.jpg", "masks/hand_0000.png", "recipes/hand_0000.json", "registry.sha256"):
+        assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes(), name
+    assert HandSet.load(tmp_path / "here").digest == HandSet.load(tmp_path / "there").digest
+
+
+def test_a_scene_is_consistent_with_its_true_mesh(tmp_path):
+    make_scenes(tmp_path, 1, SCENE)
+    scene = LoggedScene.load(tmp_path / "scene_000")
+    vertices, triangles = scene.true_mesh()
+    mask = mask_at(scene.mask_path)
+    assert mask.shape == (120, 160)
+    assert iou(mask, silhouette(scene.camera, vertices, triangles)) >= 0.95
+    uv, depth_m = scene.camera.project(vertices.astype(float))
+    seen = (depth_m > 0) & ((uv >= 0) & (uv <= (160, 120))).all(axis=1)
+    assert scene.hand_height_m == pytest.approx(vertices[seen, 2].max(), abs=1.01e-4)
+    for pose in (scene.start, scene.goal):
+        assert np.hypot(vertices[:, 0] - pose.x_m, vertices[:, 1] - pose.y_m).min() >= SCENE.clearance_m
+    assert scene.start.x_m < vertices[seen, 0].mean() < scene.goal.x_m
+
+
+def test_coverage_is_the_projected_hand_wherever_the_camera_stands():
+    from generator.render import Renderer
+
+    renderer = Renderer()
+    for place, index in (("desk", 0), ("wall", 1)):
+        settings = dataclasses.replace(TEST_LIKE, places=(place,), shares=(1.0,), worn=False)
+        recipe = draw_hand(settings, Surroundings(), index)
+        hand = place_hand(recipe)
+        stage = set_stage(recipe, Surroundings(), hand, 160, 120)
+        coverage = renderer.coverage(stage, seed=0)
+        assert coverage.min() >= 0
+        assert coverage.max() <= 1 + 1e-6
+        assert iou(coverage >= 0.5, silhouette(stage.camera, *hand.mesh_m())) >= 0.95
+
+
+def test_unknown_variants_are_refused():
+    with pytest.raises(SettingsError, match="variant"):
+        load_mitsuba("rgb")
