@@ -9,6 +9,7 @@ model_card.md         what it is, how it was judged, where it fails
 """
 
 import dataclasses
+import functools
 import os
 import pathlib
 import shutil
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.perception.calibration import Calibration
+from deltasafe.perception.engine import Engine, engine_of_program, pick_engine
 from deltasafe.perception.ensemble import Ensemble
 from deltasafe.perception.member import Member, load_network
 from deltasafe.perception.model_card import model_card
@@ -28,8 +30,10 @@ from deltasafe.storage import atomic_file, atomic_folder, digest_of_code, read_j
 
 __all__ = ["FORMAT_VERSION", "FrozenEnsemble", "freeze_ensemble", "load_ensemble", "verify_artifact"]
 
-FORMAT_VERSION = 2
-"""2 applies the temperature of `calibration.json`; in version 1 it was always 1."""
+FORMAT_VERSION = 3
+"""2 applies the temperature of `calibration.json`; in version 1 it was always 1. Since 3, the ONNX program takes images
+of any size and gives the members' logits as well."""
+_FIRST_WITH_ANY_SIZE = 3
 GOLDEN_TOLERANCE = 1e-4
 
 
@@ -40,15 +44,32 @@ class FrozenEnsemble(Ensemble):
         folder: where it lies.
         manifest: content of `manifest.json`.
         calibration: what the test images say about it.
+        engine: what computes the logits; its ``name`` says which.
     """
 
-    def __init__(self, folder: pathlib.Path, manifest: dict[str, Any], device: str = "cpu") -> None:
-        network = NetworkSettings(**manifest["network"])
-        members = [load_network(network, folder / name) for name in manifest["members"]]
-        self.calibration = Calibration.load(folder / "calibration.json")
-        super().__init__(members, InferenceSettings(**manifest["inference"]), device, self.calibration.temperature)
+    def __init__(
+        self, folder: pathlib.Path, manifest: dict[str, Any], device: str = "cpu", engine: str = "auto"
+    ) -> None:
         self.folder = folder
         self.manifest = manifest
+        self.calibration = Calibration.load(folder / "calibration.json")
+        network = NetworkSettings(**manifest["network"])
+        members = [load_network(network, folder / name) for name in manifest["members"]]
+        super().__init__(members, InferenceSettings(**manifest["inference"]), device, self.calibration.temperature)
+        self._engine_name = pick_engine(engine, self.device)
+        if manifest["format_version"] < _FIRST_WITH_ANY_SIZE and self._engine_name != "torch":
+            if engine != "auto":
+                raise ArtifactError(
+                    folder / "ensemble.onnx", f"is of an older format, which {engine} does not run here; use torch"
+                )
+            self._engine_name = "torch"
+
+    @functools.cached_property
+    def engine(self) -> Engine:
+        """What computes the logits."""
+        if self._engine_name == "torch":
+            return super().engine
+        return engine_of_program(self._engine_name, self.folder / "ensemble.onnx")
 
 
 def freeze_ensemble(
@@ -135,7 +156,7 @@ def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
     except DataError as error:
         raise ArtifactError(error.path, error.reason) from None
     version = manifest.get("format_version") if isinstance(manifest, dict) else None
-    if version not in (1, FORMAT_VERSION):
+    if version not in (1, 2, FORMAT_VERSION):
         raise ArtifactError(
             folder / "manifest.json", f"has format_version {version!r}, this version reads 1 to {FORMAT_VERSION}"
         )
@@ -150,22 +171,28 @@ def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
             raise ArtifactError(file, "is missing; pull the artifact again")
         if sha256_of_file(file) != digest:
             raise ArtifactError(file, "was altered (its SHA-256 differs); pull the artifact again")
-    needed = {*manifest["members"], "calibration.json", "golden.npz"}
+    needed = {*manifest["members"], "calibration.json", "golden.npz", "ensemble.onnx"}
     if unlisted := needed - set(manifest["files"]):
         raise ArtifactError(folder / "manifest.json", f"lists no digest for {sorted(unlisted)}")
     return dict(manifest)
 
 
-def load_ensemble(folder: str | pathlib.Path, device: str = "cpu") -> FrozenEnsemble:
+def load_ensemble(folder: str | pathlib.Path, device: str = "cpu", engine: str = "auto") -> FrozenEnsemble:
     """Load a frozen ensemble after verifying every file of it.
 
     >>> p_occupied = load_ensemble("ensemble-0123456789abcdef").p_occupied(rgb)  # doctest: +SKIP
 
+    Args:
+        device: ``cpu``, ``cuda``, ...
+        engine: ``torch``, ``onnxruntime`` or ``openvino``, which agree to 1e-4 in probability; ``auto`` is ONNX
+            Runtime where it is installed and the device is a CPU.
+
     Raises:
-        ArtifactError: see `verify_artifact`.
+        ArtifactError: see `verify_artifact`, or the artifact's format is too old for ``engine``.
+        SettingsError: ``engine`` is unknown, not installed, or none for ``device``.
     """
     folder = pathlib.Path(folder)
-    return FrozenEnsemble(folder, verify_artifact(folder), device)
+    return FrozenEnsemble(folder, verify_artifact(folder), device, engine)
 
 
 def golden_difference(ensemble: FrozenEnsemble) -> float:

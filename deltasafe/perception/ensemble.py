@@ -1,13 +1,16 @@
 """Uniformly weighted mixture of M members: p_occupied of every pixel (section III-B)."""
 
+import functools
+
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.nn import functional
+from torch.nn.functional import interpolate
 
 from deltasafe.errors import SettingsError
+from deltasafe.perception.engine import Engine, TorchEngine
 from deltasafe.perception.network import SegmentationNetwork
 from deltasafe.perception.recalibration import apply_temperature
 from deltasafe.perception.settings import InferenceSettings
@@ -54,28 +57,34 @@ class Ensemble:
         Raises:
             SettingsError: ``rgb`` has another shape or type.
         """
-        mean = self.member_p_occupied(rgb).mean(axis=0, dtype=np.float32)
+        mean = self._member_p_occupied(rgb).mean(dim=0).cpu().numpy()
         return apply_temperature(mean, self.temperature).astype(np.float32)
 
-    @torch.inference_mode()
     def member_p_occupied(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """(M, H, W) float32: what each member thinks of ``rgb``, (H, W, 3) uint8; the temperature is not applied."""
-        if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or 0 in rgb.shape:
-            raise SettingsError(f"an image must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
-        seen = self.resized(rgb).to(self.device)
-        probabilities = [probability(network(seen), rgb.shape[:2])[0] for network in self.members]
-        stacked: NDArray[np.float32] = torch.stack(probabilities).cpu().numpy()
+        stacked: NDArray[np.float32] = self._member_p_occupied(rgb).cpu().numpy()
         return stacked
 
-    def resized(self, rgb: NDArray[np.uint8]) -> Tensor:
-        """(1, 3, h, w) uint8: the image at the resolution of the networks."""
+    @functools.cached_property
+    def engine(self) -> Engine:
+        """What computes the logits."""
+        return TorchEngine(self.members, self.device)
+
+    @torch.inference_mode()
+    def _member_p_occupied(self, rgb: NDArray[np.uint8]) -> Tensor:
+        if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or 0 in rgb.shape:
+            raise SettingsError(f"an image must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
+        return probability(self.engine.member_logits(self.resized(rgb)[None])[0], rgb.shape[:2])
+
+    def resized(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """(h, w, 3) uint8: the image at the resolution of the networks."""
         height, width = self.settings.network_size(*rgb.shape[:2])
         shrinks = height * width < rgb.shape[0] * rgb.shape[1]
         scaled = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-        return torch.from_numpy(np.ascontiguousarray(scaled)).permute(2, 0, 1)[None]
+        return np.ascontiguousarray(scaled)
 
 
 def probability(logits: Tensor, size: tuple[int, ...]) -> Tensor:
     """The one conversion point: logits (B, h, w) -> p_occupied (B, H, W) at ``size`` = (H, W)."""
-    scaled = functional.interpolate(logits[:, None], size, mode="bilinear", align_corners=False)
+    scaled = interpolate(logits[:, None], size, mode="bilinear", align_corners=False)
     return torch.sigmoid(scaled)[:, 0]

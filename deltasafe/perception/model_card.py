@@ -67,6 +67,6 @@ ensemble = deltasafe.load_ensemble("FOLDER")      # verifies every file first
 p_occupied = ensemble.p_occupied(rgb)             # uint8 (H, W, 3) -> float32 (H, W)
 ```
 
-or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, {height}, {width}, 3);
-outputs `p_occupied` (B, h, w), recalibrated, and `member_p_occupied` (B, M, h, w), as the members say it.
+or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, h, w, 3), best at {height} x {width} (multiples of 16);
+outputs `p_occupied` (B, h, w), recalibrated, `member_p_occupied` and `member_logits` (B, M, h, w), as the members say it.
 """

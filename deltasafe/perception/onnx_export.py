@@ -1,71 +1,220 @@
-"""The whole ensemble as one ONNX program: an image in, the (recalibrated) mean and each member's probability out."""
+"""The whole ensemble as one ONNX program, for images of any size and any batch."""
 
+import copy
 import logging
 import pathlib
 import warnings
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from deltasafe.perception.ensemble import Ensemble, probability
+from deltasafe.perception.ensemble import Ensemble
+from deltasafe.perception.folding import folded
 from deltasafe.perception.metrics import NLL_CLIP
 from deltasafe.storage import atomic_file
 
+if TYPE_CHECKING:
+    import onnx
+
 __all__ = ["export_onnx"]
 
-
-class _Program(nn.Module):
-    """uint8 (B, h, w, 3) at the inference size -> p_occupied (B, h, w) and member_p_occupied (B, M, h, w)."""
-
-    def __init__(self, ensemble: Ensemble) -> None:
-        super().__init__()
-        self.members = ensemble.members
-        self.temperature = ensemble.temperature
-
-    def forward(self, rgb: Tensor) -> tuple[Tensor, Tensor]:
-        images = rgb.permute(0, 3, 1, 2).float()
-        each = [probability(network(images), tuple(images.shape[-2:])) for network in self.members]
-        stacked = torch.stack(each, dim=1)
-        mean = stacked.mean(dim=1)
-        if self.temperature != 1.0:
-            mean = torch.sigmoid(torch.logit(mean, eps=NLL_CLIP) / self.temperature)
-        return mean, stacked
+_OPSET = 18
+_EXAMPLE_SIZE = (160, 224)
+"""Of the traced image: no map of any stride is square, and no two strides give the same size."""
+_INT64 = 7
+_LARGEST_CONSTANT = 16
+"""Of what the trace may add to the weights: bounds of activations, axes, sizes."""
 
 
 def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:
-    """Write ``ensemble`` for images of its inference size (any batch); the file is free of machine paths."""
+    """Write ``ensemble``; the file is the same for the same weights, and free of machine paths.
+
+    Input ``rgb``, uint8 (B, h, w, 3), h and w multiples of 16. Outputs ``p_occupied`` (B, h, w), recalibrated,
+    ``member_p_occupied`` (B, M, h, w) and ``member_logits`` (B, M, h, w), as the members say it.
+
+    One member is traced; the others share its structure and differ in weights alone. Normalisation is folded into
+    convolutions, and what does not depend on a member (preprocessing) is computed once for all.
+    """
     import onnx
 
-    settings = ensemble.settings
-    height, width = settings.network_size(settings.height, settings.width)
-    example = torch.zeros((2, height, width, 3), dtype=torch.uint8)
+    networks = [_traceable(network) for network in ensemble.members]
+    traced = _traced(networks[0]).graph
+    _follow_the_image(traced)
+    graph = onnx.GraphProto(name="ensemble")
+    each = _stack(graph, traced, [_weights(network) for network in networks])
+    _conclude(graph, each, ensemble.temperature)
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", _OPSET)], ir_version=10)
+    onnx.checker.check_model(model)
+    with atomic_file(destination) as temporary:
+        onnx.save(model, temporary)
+
+
+class _Member(nn.Module):
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, rgb: Tensor) -> Tensor:
+        logits: Tensor = self.network(rgb.permute(0, 3, 1, 2).float())
+        return logits
+
+
+class _Mean(nn.Module):
+    """What `nn.AdaptiveAvgPool2d(1)` computes, in one node and for any batch."""
+
+    def forward(self, features: Tensor) -> Tensor:
+        return features.mean((2, 3), keepdim=True)
+
+
+def _traceable(network: nn.Module) -> _Member:
+    example = torch.zeros((1, 3, *_EXAMPLE_SIZE), dtype=torch.uint8)
+    network = folded(copy.deepcopy(network).cpu().float().to(memory_format=torch.contiguous_format), example)
+    for module in list(network.modules()):
+        for name, child in module.named_children():
+            if isinstance(child, nn.AdaptiveAvgPool2d) and child.output_size in (1, (1, 1)):
+                setattr(module, name, _Mean())
+    return _Member(network)
+
+
+def _weights(network: nn.Module) -> dict[str, NDArray[np.float32]]:
+    return {
+        name: np.ascontiguousarray(value.detach().numpy())
+        for name, value in [*network.named_parameters(), *network.named_buffers()]
+    }
+
+
+def _traced(network: nn.Module) -> "onnx.ModelProto":
     level = logging.getLogger("torch.onnx").level
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     try:
         with warnings.catch_warnings(), torch.inference_mode(False), torch.no_grad():
             warnings.simplefilter("ignore")
             program = torch.onnx.export(
-                _Program(ensemble).eval(),
-                (example,),
+                network.eval(),
+                (torch.zeros((1, *_EXAMPLE_SIZE, 3), dtype=torch.uint8),),
                 input_names=["rgb"],
-                output_names=["p_occupied", "member_p_occupied"],
-                dynamic_shapes=({0: torch.export.Dim("batch", min=1, max=1024)},),
+                output_names=["logits"],
+                opset_version=_OPSET,
                 dynamo=True,
                 verbose=False,
             )
     finally:
         logging.getLogger("torch.onnx").setLevel(level)
     assert program is not None
-    model = program.model_proto
-    for node in model.graph.node:
-        del node.metadata_props[:]  # stack traces of the exporting machine
-    for value in [*model.graph.value_info, *model.graph.input, *model.graph.output, *model.graph.initializer]:
-        del value.metadata_props[:]
-    del model.graph.metadata_props[:]
-    del model.metadata_props[:]
-    for function in model.functions:
-        del function.metadata_props[:]
-        for node in function.node:
-            del node.metadata_props[:]
-    with atomic_file(destination) as temporary:
-        onnx.save(model, temporary)
+    model: onnx.ModelProto = program.model_proto
+    return model
+
+
+def _follow_the_image(graph: "onnx.GraphProto") -> None:
+    """Turn sizes that the trace has fixed into shares of the image's own.
+
+    Raises:
+        RuntimeError: a size is no share of the image's, or another node depends on it.
+    """
+    from onnx import helper, numpy_helper
+
+    constants = {item.name: numpy_helper.to_array(item) for item in graph.initializer if item.data_type == _INT64}
+    nodes = [
+        helper.make_node("Shape", ["rgb"], ["image_size"], start=1, end=3),
+    ]
+    for node in graph.node:
+        if node.op_type == "Resize":
+            target = constants[node.input[3]][2:]
+            strides = {size // int(part) for size, part in zip(_EXAMPLE_SIZE, target, strict=True)}
+            if len(strides) != 1 or any(size % int(part) for size, part in zip(_EXAMPLE_SIZE, target, strict=True)):
+                raise RuntimeError(f"a map is scaled to {target}, which is no share of the image's {_EXAMPLE_SIZE}")
+            name = node.output[0]
+            nodes += [
+                helper.make_node("Constant", [], [f"{name}.stride"], value_ints=2 * list(strides)),
+                helper.make_node("Div", ["image_size", f"{name}.stride"], [f"{name}.target"]),
+                helper.make_node("Shape", [node.input[0]], [f"{name}.batch"], start=0, end=2),
+                helper.make_node("Concat", [f"{name}.batch", f"{name}.target"], [f"{name}.size"], axis=0),
+            ]
+            node.input[3] = f"{name}.size"
+        elif node.op_type in ("Reshape", "Expand", "Slice", "Tile"):
+            raise RuntimeError(f"the traced network fixes a shape in {node.op_type} {node.name}")
+        nodes.append(node)
+    used = {name for node in nodes for name in node.input}
+    kept = [copy.deepcopy(item) for item in graph.initializer if item.name in used]
+    nodes = [copy.deepcopy(node) for node in nodes]
+    del graph.node[:], graph.initializer[:], graph.value_info[:]
+    graph.node.extend(nodes)
+    graph.initializer.extend(kept)
+
+
+def _stack(
+    graph: "onnx.GraphProto", traced: "onnx.GraphProto", weights: list[dict[str, NDArray[np.float32]]]
+) -> list[str]:
+    """Add ``traced`` once for each member; what is the same for all of them, once. Returns the members' outputs.
+
+    Raises:
+        RuntimeError: the trace has changed a weight, so that another member's cannot take its place.
+    """
+    from onnx import numpy_helper
+
+    shared: set[str] = {"rgb"}
+    for item in traced.initializer:
+        first = weights[0].get(item.name)
+        value = numpy_helper.to_array(item)
+        if (first is None and value.size > _LARGEST_CONSTANT) or not (first is None or np.array_equal(first, value)):
+            raise RuntimeError(f"the exporter has changed {item.name}; the other members' weights do not fit it")
+        if first is None or all(np.array_equal(first, others[item.name]) for others in weights[1:]):
+            shared.add(item.name)
+            graph.initializer.append(item)
+        else:
+            for index, named in enumerate(weights):
+                graph.initializer.append(numpy_helper.from_array(named[item.name], f"{index}.{item.name}"))
+    for index in range(len(weights)):
+        for node in traced.node:
+            if all(not name or name in shared for name in node.input) and node.output[0] != "logits":
+                if index == 0:
+                    graph.node.append(_without_origin(node))
+                shared.update(node.output)
+            elif not set(node.output) <= shared:
+                own = _without_origin(node)
+                own.input[:] = [name if not name or name in shared else f"{index}.{name}" for name in node.input]
+                own.output[:] = [f"{index}.{name}" for name in node.output]
+                graph.node.append(own)
+    return [f"{index}.logits" for index in range(len(weights))]
+
+
+def _without_origin(node: "onnx.NodeProto") -> "onnx.NodeProto":
+    node = copy.deepcopy(node)
+    del node.metadata_props[:]  # stack traces of the exporting machine
+    node.name = ""
+    return node
+
+
+def _conclude(graph: "onnx.GraphProto", each: list[str], temperature: float) -> None:
+    """From the members' logits to the three outputs."""
+    from onnx import TensorProto, helper
+
+    def add(kind: str, inputs: list[str], output: str, **attributes: Any) -> str:
+        graph.node.append(helper.make_node(kind, inputs, [output], **attributes))
+        return output
+
+    def constant(name: str, value: float) -> str:
+        return add("Constant", [], name, value_float=value)
+
+    add("Constant", [], "members_axis", value_ints=[1])
+    layers = [add("Unsqueeze", [name, "members_axis"], f"{name}.layer") for name in each]
+    add("Concat", layers, "member_logits", axis=1)
+    add("Sigmoid", ["member_logits"], "member_p_occupied")
+    mean = "p_occupied" if temperature == 1.0 else "mean_p_occupied"
+    add("ReduceMean", ["member_p_occupied", "members_axis"], mean, keepdims=0)
+    if temperature != 1.0:
+        clipped = add("Clip", [mean, constant("lowest", NLL_CLIP), constant("highest", 1 - NLL_CLIP)], "clipped")
+        free = add("Sub", [constant("one", 1.0), clipped], "p_free")
+        logit = add("Log", [add("Div", [clipped, free], "odds")], "logit")
+        add("Sigmoid", [add("Div", [logit, constant("temperature", temperature)], "cooled")], "p_occupied")
+    size: list[str | int] = ["batch", "height", "width"]
+    graph.input.append(helper.make_tensor_value_info("rgb", TensorProto.UINT8, [*size, 3]))
+    for name, shape in (
+        ("p_occupied", size),
+        ("member_p_occupied", [size[0], len(each), *size[1:]]),
+        ("member_logits", [size[0], len(each), *size[1:]]),
+    ):
+        graph.output.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, shape))

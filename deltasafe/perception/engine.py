@@ -1,0 +1,103 @@
+"""What computes an ensemble's logits: torch, member after member, or the frozen program in one of two runtimes."""
+
+import importlib.util
+import pathlib
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from deltasafe.errors import SettingsError
+
+__all__ = ["ENGINES", "Engine", "TorchEngine", "engine_of_program", "pick_engine"]
+
+ENGINES = ("auto", "torch", "onnxruntime", "openvino")
+
+
+class Engine(Protocol):
+    """One way of asking all members at once.
+
+    Attributes:
+        name: one of `ENGINES`, not ``auto``.
+    """
+
+    name: str
+
+    def member_logits(self, images: NDArray[np.uint8]) -> Tensor:
+        """(B, h, w, 3) uint8 at the networks' resolution -> (B, M, h, w) float32."""
+        ...
+
+
+class TorchEngine:
+    """The networks themselves, called one after another; the reference, and the only one for a GPU."""
+
+    name = "torch"
+
+    def __init__(self, members: nn.ModuleList, device: torch.device) -> None:
+        self.members = members
+        self.device = device
+
+    def member_logits(self, images: NDArray[np.uint8]) -> Tensor:
+        seen = torch.from_numpy(images).to(self.device).permute(0, 3, 1, 2)
+        return torch.stack([network(seen) for network in self.members], dim=1)
+
+
+def pick_engine(name: str, device: torch.device) -> str:
+    """``auto`` is ONNX Runtime where it is installed and the device is a CPU, torch otherwise.
+
+    Raises:
+        SettingsError: there is no engine of that name, its package is not installed, or it is none for the device.
+    """
+    if name not in ENGINES:
+        raise SettingsError(f"engine must be one of {ENGINES}, got {name!r}")
+    if name == "auto":
+        return "onnxruntime" if device.type == "cpu" and importlib.util.find_spec("onnxruntime") else "torch"
+    if name != "torch":
+        if device.type != "cpu":
+            raise SettingsError(f"engine {name!r} runs on the CPU, not on {device}; use torch there")
+        if importlib.util.find_spec(name) is None:
+            raise SettingsError(f"engine {name!r} is not installed; pip install {name}, or use another one")
+    return name
+
+
+def engine_of_program(name: str, program: pathlib.Path) -> Engine:
+    """``onnxruntime`` or ``openvino`` with a program that `export_onnx` has written; as many threads as torch."""
+    return _OnnxRuntime(program) if name == "onnxruntime" else _OpenVino(program)
+
+
+class _OnnxRuntime:
+    name = "onnxruntime"
+
+    def __init__(self, program: pathlib.Path) -> None:
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = torch.get_num_threads()
+        options.inter_op_num_threads = 1
+        # threads that wait actively between two operations, but not between two images
+        options.add_session_config_entry("session.force_spinning_stop", "1")
+        self._session = onnxruntime.InferenceSession(str(program), options, providers=["CPUExecutionProvider"])
+
+    def member_logits(self, images: NDArray[np.uint8]) -> Tensor:
+        return torch.from_numpy(self._session.run(["member_logits"], {"rgb": images})[0])
+
+
+class _OpenVino:
+    name = "openvino"
+
+    def __init__(self, program: pathlib.Path) -> None:
+        import openvino
+
+        core = openvino.Core()
+        model = core.read_model(program)
+        wanted: dict[str, Any] = {
+            "PERFORMANCE_HINT": "LATENCY",
+            "INFERENCE_NUM_THREADS": torch.get_num_threads(),
+            "INFERENCE_PRECISION_HINT": "f32",
+        }
+        self._request = core.compile_model(model, "CPU", wanted).create_infer_request()
+
+    def member_logits(self, images: NDArray[np.uint8]) -> Tensor:
+        return torch.from_numpy(self._request.infer({"rgb": images})["member_logits"].copy())
