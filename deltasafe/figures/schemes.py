@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from deltasafe.perception.study.tables import SCHEME_TITLES, AblationRow, SchemeRow
+from deltasafe.perception.study.tables import SCHEME_TITLES, AblationRow, SchemeRow, best_rows
 
 __all__ = ["ablation_figure", "scheme_figure", "scheme_tables_figure"]
 
@@ -30,14 +30,14 @@ def scheme_tables_figure(rows: Sequence[SchemeRow]) -> Figure:
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.98))
     axes.set(xlim=(0, 1), ylim=(height / 0.26, 0))
     axes.set_axis_off()
-    columns = dict(zip(_PRINTED, (0.40, 0.58, 0.75, 0.91), strict=True))
+    columns = dict(zip(_PRINTED, (0.405, 0.585, 0.755, 0.915), strict=True))
     y = 1.0
     _rule(axes, 0.3, 1.2)
-    for x, text, where in ((0.0, "Training set", "left"), (0.11, "Scheme", "left"), (0.305, "$M$", "center")):
+    for x, text, where in ((0.0, "Training set", "left"), (0.11, "Scheme", "left"), (0.295, "$M$", "center")):
         axes.text(x, y + 0.35, text, ha=where, va="center", weight="bold")
     for name, x in columns.items():
         axes.text(x, y, _PRINTED[name][0], ha="center", va="center", weight="bold")
-        axes.text(x - 0.008, y + 0.8, "ours", ha="right", va="center", fontsize=8)
+        axes.text(x - 0.008, y + 0.8, "measured", ha="right", va="center", fontsize=8)
         axes.text(x + 0.008, y + 0.8, "paper", ha="left", va="center", fontsize=8, color=_GREY)
     y += 1.6
     for size in sizes:
@@ -48,9 +48,9 @@ def scheme_tables_figure(rows: Sequence[SchemeRow]) -> Figure:
             if index == 0:
                 axes.text(0.0, y, f"{size} images", va="center")
             axes.text(0.11, y, SCHEME_TITLES[row.cell.scheme], va="center")
-            axes.text(0.305, y, f"{row.cell.n_members}", ha="center", va="center")
+            axes.text(0.295, y, f"{row.cell.n_members}", ha="center", va="center")
             for name, x in columns.items():
-                best = getattr(row.compared, name) == _best([getattr(other.compared, name) for other in group], name)
+                best = row in best_rows(rows, name)
                 ours, paper = _printed(row, name)
                 axes.text(x - 0.008, y, ours, ha="right", va="center", weight="bold" if best else "normal")
                 axes.text(x + 0.008, y, paper, ha="left", va="center", color=_GREY)
@@ -126,10 +126,6 @@ def _span(row: SchemeRow, name: str) -> tuple[float, float, float]:
         return getattr(row.low, name), value, getattr(row.high, name)
     sd = 0.0 if row.members.sd is None else getattr(row.members.sd, name)
     return value - sd, value, value + sd
-
-
-def _best(values: Sequence[float], name: str) -> float:
-    return min(values) if name in ("nll", "brier") else max(values)
 
 
 def _rule(axes: Axes, y: float, width: float) -> None:

@@ -20,6 +20,7 @@ __all__ = [
     "SchemeRow",
     "ablation_rows",
     "best_everywhere",
+    "best_rows",
     "missing_cells",
     "scheme_rows",
 ]
@@ -132,6 +133,16 @@ def ablation_rows(settings: StudySettings, reports: Reports) -> tuple[AblationRo
         members = mean_and_sd([member.scores for member in report.members[:m]])
         rows.append(AblationRow(cell, members, report.ensembles[m - 1].scores, loss, low, high))
     return tuple(rows)
+
+
+def best_rows(rows: Sequence[SchemeRow], name: str) -> tuple[SchemeRow, ...]:
+    """The best row of each size in the measure ``name``, as the tables print it."""
+    sign = _SIGN[_FIELDS.index(name)]
+    sizes = dict.fromkeys(row.cell.n_images for row in rows)
+    return tuple(
+        max((row for row in rows if row.cell.n_images == size), key=lambda row: sign * getattr(row.compared, name))
+        for size in sizes
+    )
 
 
 def best_everywhere(rows: Sequence[SchemeRow], settings: StudySettings) -> bool | None:

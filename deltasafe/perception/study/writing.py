@@ -2,10 +2,11 @@
 
 import dataclasses
 import pathlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from deltasafe.perception.ensemble_size import ensemble_size_table, ensemble_size_values
+from deltasafe.perception.markdown import table
 from deltasafe.perception.metrics import Scores
 from deltasafe.perception.study.settings import StudySettings
 from deltasafe.perception.study.tables import (
@@ -15,6 +16,7 @@ from deltasafe.perception.study.tables import (
     SchemeRow,
     ablation_rows,
     best_everywhere,
+    best_rows,
     missing_cells,
     scheme_rows,
 )
@@ -118,23 +120,11 @@ def scheme_markdown(rows: Sequence[SchemeRow], settings: StudySettings) -> str:
     )
     first = table(
         ("Images", "Scheme", "M", "PA [%]", "Paper", "mIoU [%]", "Paper"),
-        [
-            (
-                *_head(row),
-                *(_cell(row, name, 1e2) for name in ("pixel_accuracy", "miou") for _cell in (_members, _paper)),
-            )
-            for row in rows
-        ],
+        [(*_head(row), *_members(row, rows, "pixel_accuracy"), *_members(row, rows, "miou")) for row in rows],
     )
     second = table(
         ("Images", "Scheme", "M", "NLL x 10²", "Paper", "BS x 10³", "Paper"),
-        [
-            (
-                *_head(row),
-                *(_cell(row, name, unit) for name, unit in (("nll", 1e2), ("brier", 1e3)) for _cell in (_mean, _paper)),
-            )
-            for row in rows
-        ],
+        [(*_head(row), *_mean(row, rows, "nll", 1e2), *_mean(row, rows, "brier", 1e3)) for row in rows],
     )
     led = [row for row in rows if row.lead_low is not None and row.lead_high is not None]
     third = table(
@@ -148,8 +138,8 @@ def ablation_markdown(rows: Sequence[AblationRow]) -> str:
     """What is lost without a method, with intervals."""
     note = (
         "Loss without the method, interval by paired bootstrap over images: what is above zero, the method is worth. "
-        "PA and mIoU are means over members, NLL and BS those of their ensemble, against the same seeds of the whole "
-        "scheme."
+        "The interval says what other images would change, not what other seeds would, and M is small. PA and mIoU "
+        "are means over members, NLL and BS those of their ensemble, against the same seeds of the whole scheme."
     )
     head = ("Without", "M", "PA [%]", "loss", "mIoU [%]", "loss", "NLL x 10²", "loss", "BS x 10³", "loss")
     lines = []
@@ -191,30 +181,28 @@ def study_values(settings: StudySettings, reports: Reports) -> dict[str, float]:
     return values
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
 def _head(row: SchemeRow) -> tuple[str, str, str]:
     return f"{row.cell.n_images}", SCHEME_TITLES[row.cell.scheme], f"{row.cell.n_members}"
 
 
-def _members(row: SchemeRow, name: str, unit: float) -> str:
-    sd = "" if row.members.sd is None else f" ± {unit * getattr(row.members.sd, name):.1f}"
-    return f"**{unit * getattr(row.members.mean, name):.1f}**{sd}"
-
-
-def _mean(row: SchemeRow, name: str, unit: float) -> str:
-    value, low, high = (unit * getattr(scores, name) for scores in (row.ensemble, row.low, row.high))
-    return f"**{value:.1f}** ({low:.1f} to {high:.1f})"
-
-
-def _paper(row: SchemeRow, name: str, unit: float) -> str:
+def _members(row: SchemeRow, rows: Sequence[SchemeRow], name: str) -> tuple[str, str]:
+    """Mean and sd over members in percent, the best of its size in bold, and the paper's."""
+    sd = "" if row.members.sd is None else f" ± {1e2 * getattr(row.members.sd, name):.1f}"
+    ours = _bold(f"{1e2 * getattr(row.compared, name):.1f}{sd}", row in best_rows(rows, name))
     if row.paper is None:
-        return ""
-    sd = getattr(row.paper, f"{name}_sd", None)
-    return f"{unit * getattr(row.paper, name):.1f}" + ("" if sd is None else f" ± {unit * sd:.1f}")
+        return ours, ""
+    return ours, f"{1e2 * getattr(row.paper, name):.1f} ± {1e2 * getattr(row.paper, f'{name}_sd'):.1f}"
+
+
+def _mean(row: SchemeRow, rows: Sequence[SchemeRow], name: str, unit: float) -> tuple[str, str]:
+    """Score of the ensemble with its interval, the best of its size in bold, and the paper's."""
+    value, low, high = (unit * getattr(scores, name) for scores in (row.compared, row.low, row.high))
+    ours = f"{_bold(f'{value:.2f}', row in best_rows(rows, name))} ({low:.2f} to {high:.2f})"
+    return ours, "" if row.paper is None else f"{unit * getattr(row.paper, name):.1f}"
+
+
+def _bold(text: str, bold: bool) -> str:
+    return f"**{text}**" if bold else text
 
 
 def _spans(low: Scores | None, high: Scores | None) -> tuple[str, ...]:
@@ -222,6 +210,6 @@ def _spans(low: Scores | None, high: Scores | None) -> tuple[str, ...]:
     if low is None or high is None:
         return ("",) * 4
     return tuple(
-        f"{unit * getattr(low, name):+.1f} to {unit * getattr(high, name):+.1f}"
+        f"{unit * getattr(low, name):+.2f} to {unit * getattr(high, name):+.2f}"
         for name, unit in (("pixel_accuracy", 1e2), ("miou", 1e2), ("nll", 1e2), ("brier", 1e3))
     )
