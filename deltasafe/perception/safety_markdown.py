@@ -162,9 +162,9 @@ def calibration_section(report: CalibrationReport) -> str:
         used = "with this temperature" if report.final is after else "as it is, with T = 1 (`recalibrate` is off)"
         told = (
             f"`logit(p_occupied) / T` of the pooled probability, fitted by NLL: **T = {after.temperature:.3f}** (above "
-            f"1 it takes confidence away, below 1 it adds some). Every image is judged with a T that was fitted without it "
-            f"(from {after.lowest:.3f} to {after.highest:.3f}). The ensemble is used and certified {used}. Where images "
-            "come that are unlike these, fit it again on some of them."
+            "1 it takes confidence away, below 1 it adds some). Every image is judged with a T that was fitted without "
+            f"it (from {after.lowest:.3f} to {after.highest:.3f}). The ensemble is used and certified {used}. Where "
+            "images come that are unlike these, fit it again on some of them."
         )
     return f"""## Is it as sure as it should be?
 
