@@ -53,7 +53,7 @@ class FrozenEnsemble(Ensemble):
         self.folder = folder
         self.manifest = manifest
         self.calibration = Calibration.load(folder / "calibration.json")
-        network = NetworkSettings(**manifest["network"])
+        network = NetworkSettings.from_record(manifest["network"])
         members = [load_network(network, folder / name) for name in manifest["members"]]
         super().__init__(members, InferenceSettings(**manifest["inference"]), device, self.calibration.temperature)
         self._engine_name = pick_engine(engine, self.device)

@@ -83,7 +83,7 @@ class Member:
 
     @property
     def network_settings(self) -> NetworkSettings:
-        return NetworkSettings(**self.record["settings"]["network"])
+        return NetworkSettings.from_record(self.record["settings"]["network"])
 
     def network(self) -> SegmentationNetwork:
         """The trained network in evaluation mode, on the CPU."""

@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
+from typing import Any
 
 from deltasafe.errors import SettingsError
 
@@ -46,6 +48,11 @@ class NetworkSettings:
             raise SettingsError(f"pyramid_channels must be positive, got {self.pyramid_channels}")
         if not self.atrous_rates or min(self.atrous_rates) < 1:
             raise SettingsError(f"atrous_rates must be at least one positive number, got {self.atrous_rates}")
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> "NetworkSettings":
+        """As stored with a member or an ensemble; the first ones named no rates and had torchvision's."""
+        return cls(**{"atrous_rates": (12, 24, 36), **record})
 
 
 @dataclasses.dataclass(frozen=True)

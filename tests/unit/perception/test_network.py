@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 import torch
 
@@ -70,3 +72,19 @@ def test_unknown_networks_are_refused_by_name(wrong):
     (name,) = wrong
     with pytest.raises(SettingsError, match=name):
         NetworkSettings(**wrong)
+
+
+def test_a_record_without_rates_is_of_the_time_when_they_were_those_of_torchvision():
+    assert NetworkSettings.from_record({"backbone": "resnet50"}).atrous_rates == (12, 24, 36)
+    assert NetworkSettings.from_record(dataclasses.asdict(NetworkSettings())) == NetworkSettings()
+
+
+def test_rates_decide_what_the_pyramid_sees():
+    images = torch.randint(0, 256, (1, 3, 96, 128), generator=torch.Generator().manual_seed(0))
+    near, far = (
+        build_network(dataclasses.replace(NetworkSettings(), pretrained=False, atrous_rates=rates), 0).eval()
+        for rates in ((1, 2), (12, 24))
+    )
+    far.load_state_dict(near.state_dict())
+    with torch.no_grad():
+        assert not torch.allclose(near(images), far(images))
