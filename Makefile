@@ -14,7 +14,7 @@ STAMP := $(VENV)/.installed
 REQUIREMENTS := -e .[vision,sim] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: hands scenes surroundings demo test ui check lock clean record study
+.PHONY: hands scenes surroundings demo test ui check lock clean record study planner-study
 
 demo: $(STAMP)
 	$(BIN)/python -m pipelines.demo
@@ -26,6 +26,10 @@ record: $(STAMP)
 # Tables I to III, Fig. 4 and the ablation: hours; an interrupted study goes on where it was
 study: $(STAMP)
 	$(BIN)/python -m pipelines.study --record docs/results/perception.json
+
+# Fig. 5 and Fig. 6: minutes
+planner-study: $(STAMP)
+	$(BIN)/python -m pipelines.planner_study --record docs/results/planner_study.json
 
 test: $(STAMP) check
 	$(BIN)/python -m pytest -n 2 --dist loadfile

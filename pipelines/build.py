@@ -9,6 +9,7 @@ import dagster as dg
 import assets.checks
 import assets.motion
 import assets.perception
+import assets.planner_study
 import assets.study
 from pipelines import jobs
 from pipelines.console import progress_console
@@ -42,9 +43,9 @@ def build_defs(
         {"max_concurrent": max_concurrent, "start_method": {"forkserver": {"preload_modules": _PRELOADED}}}
     )
     return dg.Definitions(
-        assets=dg.load_assets_from_modules([assets.perception, assets.motion, assets.study]),
+        assets=dg.load_assets_from_modules([assets.perception, assets.motion, assets.study, assets.planner_study]),
         asset_checks=dg.load_asset_checks_from_modules([assets.checks]),
-        jobs=[jobs.everything, jobs.perception, jobs.planning, jobs.study],
+        jobs=[jobs.everything, jobs.perception, jobs.planning, jobs.study, jobs.planner_study],
         schedules=[jobs.retraining],
         resources={**resources, **(overrides or {})},
         executor=executor,

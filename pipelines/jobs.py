@@ -5,7 +5,7 @@ import dagster as dg
 from assets.perception import members
 from assets.study import cells
 
-__all__ = ["ALL_CELLS", "ALL_MEMBERS", "everything", "perception", "planning", "retraining", "study"]
+__all__ = ["ALL_CELLS", "ALL_MEMBERS", "everything", "perception", "planner_study", "planning", "retraining", "study"]
 
 
 def _whole_range(partitions: dg.StaticPartitionsDefinition) -> dict[str, str]:
@@ -42,6 +42,12 @@ study = dg.define_asset_job(
     dg.AssetSelection.groups("study") | dg.AssetSelection.assets("raw_hands", "test_hands"),
     description="Tables I to III and Fig. 4 of the paper, and the ablation: hours of training; goes on where it was.",
     tags=ALL_CELLS,
+)
+
+planner_study = dg.define_asset_job(
+    "planner_study",
+    dg.AssetSelection.groups("planner_study"),
+    description="Fig. 5 and Fig. 6 of the paper: the planner against the compared methods; goes on where it was.",
 )
 
 

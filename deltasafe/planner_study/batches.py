@@ -105,7 +105,7 @@ def _store(work: Callable[..., Batch], file: pathlib.Path, arguments: tuple[Any,
 
 def _read(file: pathlib.Path) -> Batch:
     try:
-        with np.load(file, allow_pickle=False) as arrays:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}
     except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
         raise DataError(file, f"is not a finished batch ({error}); delete it, and it is made again") from error

@@ -96,7 +96,7 @@ class Comparison:
         record = read_json(folder / "study.json")
         try:
             settings = ComparisonSettings(**record["settings"])
-            with np.load(folder / "runs.npz", allow_pickle=False) as arrays:
+            with (folder / "runs.npz").open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
                 runs = {name: arrays[name] for name in MEASURES}
         except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
             raise DataError(folder, f"holds no comparison of this version ({error})") from error

@@ -56,8 +56,9 @@ def effects_of_time(found: Timing) -> list[Effect]:
 
 
 def _ends(found: Comparison, scene: str, name: str) -> tuple[float, float, float, float]:
-    """Normalised cost at no and at the largest uncertainty, each with its standard error."""
+    """Normalised cost at no and at the largest uncertainty, each with its standard error; without a path infinite."""
     mean, error = found.normalised_cost(scene, name)
+    mean, error = np.where(np.isnan(mean), np.inf, mean), np.nan_to_num(error)
     return float(mean[0]), float(error[0]), float(mean[-1]), float(error[-1])
 
 
@@ -66,7 +67,10 @@ def _paper(scene: str, name: str) -> Array:
 
 
 def _listed(values: dict[str, float], form: str = "{:.3f}") -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {form.format(value)}" for name, value in values.items())
+    return ", ".join(
+        f"{name.replace('_', ' ')} {form.format(value) if np.isfinite(value) else 'without a path'}"
+        for name, value in values.items()
+    )
 
 
 def _percent(values: dict[str, float]) -> str:
@@ -134,7 +138,7 @@ def _advantage_grows_with_clutter(found: Comparison) -> Effect:
     return Effect(
         "advantage_grows_with_clutter",
         "The advantage over the best of the others is greater in the cluttered scene.",
-        gap["cluttered"] > gap["simple"],
+        gap["cluttered"] > max(gap["simple"], 0.0),
         f"rise of the best other minus rise of ours, in %: here {_percent(gap)}; paper {_percent(paper)}",
     )
 

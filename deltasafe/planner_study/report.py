@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from deltasafe.planner_study.comparison import SCENES, Comparison
-from deltasafe.planner_study.contenders import MAIN, contenders
+from deltasafe.planner_study.contenders import MAIN, constraint_of, contenders, field_of, search
 from deltasafe.planner_study.effects import Effect, effects_of_cost, effects_of_time
+from deltasafe.planner_study.scenes import EllipticDisc, cluttered_scene
 from deltasafe.planner_study.timing import TIMED, Timing
 from deltasafe.storage import atomic_folder, write_json
 
@@ -41,7 +42,7 @@ def figures_of(comparison: Comparison, timing: Timing) -> dict[str, float]:
 
 
 def write_study(comparison: Comparison, timing: Timing, folder: str | pathlib.Path) -> dict[str, float]:
-    """Write `report.md`, `fig5.png`, `fig5_references.png`, `fig6.png`, the runs and `figures.json`, as a whole."""
+    """Write `report.md` with its pictures, the runs and `figures.json`, as a whole; the figures are returned."""
     from deltasafe.figures.planner_study import plot_cost, plot_references, plot_time
 
     figures = figures_of(comparison, timing)
@@ -51,9 +52,24 @@ def write_study(comparison: Comparison, timing: Timing, folder: str | pathlib.Pa
         plot_cost(comparison, temporary / "fig5.png")
         plot_references(comparison, temporary / "fig5_references.png")
         plot_time(timing, temporary / "fig6.png")
+        _draw_search(comparison, temporary)
         write_json(temporary / "figures.json", figures)
         (temporary / "report.md").write_text(_markdown(comparison, timing), encoding="utf-8")
     return figures
+
+
+def _draw_search(comparison: Comparison, folder: pathlib.Path) -> None:
+    """`above.png` and `space.png`: a search in the cluttered scene at half of the largest uncertainty."""
+    from deltasafe.figures.search import search_from_above, search_in_space
+
+    settings = comparison.settings
+    shapes, level_m = cluttered_scene().shapes, settings.largest_level_m / 2
+    field = field_of(shapes, level_m, settings)
+    constraint = constraint_of(None, shapes, field, level_m / 2, settings, "continuous")
+    tree = search(constraint, "root", settings, 0)
+    title = f"Cluttered scene, {len(tree.nodes)} nodes, every segment tested continuously"
+    for draw, name in ((search_from_above, "above"), (search_in_space, "space")):
+        draw(tree, field, EllipticDisc(), folder / f"{name}.png", title=title)
 
 
 def _markdown(comparison: Comparison, timing: Timing) -> str:
@@ -69,12 +85,14 @@ def _markdown(comparison: Comparison, timing: Timing) -> str:
         "d-tilde / 0.95, so that P(occupied) = 0.05 lies at d-tilde; the others get sigma = d-tilde / 2 and follow "
         "their own rules. Two sigma is 95 % neither one-sided (1.645) nor for a ball (2.795); the bounding volume "
         "takes three. Hence the comparison at an equal margin below.",
+        "![A search in space](space.png)",
+        "![The same from above](above.png)",
         "## Cost of the path (Fig. 5)",
         "![Fig. 5](fig5.png)",
         _effects(effects_of_cost(comparison)),
         "Normalised by the largest mean of the four methods over all levels of the scene; raw costs are in "
-        "`fig5_runs/runs.npz`. The line cost is the additive root; the paper's squared one, which n equal pieces make n "
-        "times cheaper, stands beside it.",
+        "`fig5_runs/runs.npz`. The line cost is the additive root; the paper's squared one, which n equal pieces make "
+        "n times cheaper, stands beside it.",
         _cost_table(comparison),
         "### At no uncertainty, and at an equal margin",
         _parts_table(comparison),
@@ -101,6 +119,16 @@ def _effects(effects: Sequence[Effect]) -> str:
     return "\n".join(["| The paper says or shows | holds here | evidence |", "|---|---|---|", *rows])
 
 
+def _cell(mean: float, error: float) -> str:
+    if not np.isfinite(mean):
+        return "no path"
+    return f"{mean:.3f} ± {error:.3f}" if np.isfinite(error) else f"{mean:.3f}"
+
+
+def _change(ratio: float) -> str:
+    return f"{100 * (ratio - 1):+.1f} %" if np.isfinite(ratio) else "no path"
+
+
 def _cost_table(found: Comparison) -> str:
     label = {one.name: one.label for one in contenders(found.settings)}
     shown = np.unique(np.linspace(0, found.settings.n_levels - 1, 6).round().astype(int))
@@ -110,7 +138,7 @@ def _cost_table(found: Comparison) -> str:
         for suffix, kind in (("", "root"), ("_squared", "squared")):
             for name in MAIN:
                 mean, error = found.normalised_cost(scene, name + suffix)
-                cells = " | ".join(f"{mean[n]:.3f} ± {error[n]:.3f}" for n in shown)
+                cells = " | ".join(_cell(mean[n], error[n]) for n in shown)
                 share = 100 * float(found.solved_share(scene, name + suffix).min())
                 lines.append(f"| {scene}, {kind}, {label[name]} | {cells} | ≥ {share:.0f} % |")
     return "\n".join(lines)
@@ -123,10 +151,7 @@ def _parts_table(found: Comparison) -> str:
         ours = found.normalised_cost(scene, "ours")[0][0]
         for name in (*MAIN, "chance_constraint_each", "exact", "equal_margin"):
             mean, _ = found.normalised_cost(scene, name)
-            lines.append(
-                f"| {scene}, {label[name]} | {100 * (mean[0] / ours - 1):+.1f} % | "
-                f"{100 * (mean[-1] / mean[0] - 1):+.1f} % |"
-            )
+            lines.append(f"| {scene}, {label[name]} | {_change(mean[0] / ours)} | {_change(mean[-1] / mean[0])} |")
     return "\n".join(lines)
 
 
@@ -134,9 +159,13 @@ def _safety_table(found: Comparison) -> str:
     lines = ["| method | " + " | ".join(SCENES) + " |", "|---|" + "---|" * len(SCENES)]
     for one in contenders(found.settings):
         if not one.name.endswith("_squared"):
-            shares = " | ".join(f"{100 * found.safe_share(scene, one.name):.1f} %" for scene in SCENES)
+            shares = " | ".join(_share(found.safe_share(scene, one.name)) for scene in SCENES)
             lines.append(f"| {one.label} | {shares} |")
     return "\n".join(lines)
+
+
+def _share(value: float) -> str:
+    return f"{100 * value:.1f} %" if np.isfinite(value) else "no path"
 
 
 def _time_table(found: Timing) -> str:

@@ -64,7 +64,7 @@ def cluttered_scene() -> StudyScene:
     return StudyScene(
         "cluttered",
         (
-            Sphere((0.25, 0.22, 0.26), 0.06),
+            Sphere((0.26, 0.23, 0.26), 0.06),
             Sphere((0.36, 0.46, 0.20), 0.07),
             Cuboid((0.54, 0.32, 0.26), (0.04, 0.04, 0.04), 0.3),
             Sphere((0.53, 0.56, 0.28), 0.07),

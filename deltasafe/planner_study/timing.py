@@ -78,7 +78,7 @@ class Timing:
         try:
             settings = TimingSettings(**{**record["settings"], "counts": tuple(record["settings"]["counts"])})
             effort = Effort(record["minutes"], record["cpu_minutes"])
-            with np.load(folder / "runs.npz", allow_pickle=False) as arrays:
+            with (folder / "runs.npz").open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
                 found = cls(settings, arrays["seconds"], arrays["n_nodes"], arrays["field_s"], effort)
         except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
             raise DataError(folder, f"holds no measured times of this version ({error})") from error

@@ -23,6 +23,7 @@ CHAIN = [
     "safety_report",
 ]
 STUDY = {"study_cell", "augmentation_tables", "ensemble_size", "augmentation_ablation"}
+PLANNER_STUDY = {"planner_costs", "planner_times", "planner_report"}
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def specs(defs):
 
 def test_data_flows_one_way_through_the_chain(defs):
     found = specs(defs)
-    assert set(found) == {*CHAIN, *STUDY, "test_hands", "logged_scenes"}
+    assert set(found) == {*CHAIN, *STUDY, *PLANNER_STUDY, "test_hands", "logged_scenes"}
     for before, after in itertools.pairwise(CHAIN):
         upstream = {dep.asset_key.to_user_string() for dep in found[after].deps}
         assert before in upstream, f"{after} does not follow {before}"
@@ -67,7 +68,7 @@ def test_everything_is_described_owned_and_versioned(defs):
         assert spec.owners, name
         assert spec.kinds, name
         assert spec.code_version, name
-        assert spec.group_name in ("perception", "motion", "study"), name
+        assert spec.group_name in ("perception", "motion", "study", "planner_study"), name
 
 
 def test_checks_before_the_freeze_block_it(defs):

@@ -1,0 +1,82 @@
+"""Fig. 5 and Fig. 6: the planner against the compared methods."""
+
+import pathlib
+
+import dagster as dg
+
+from assets.config import configurable
+from assets.interfaces import Store
+from assets.progress import progress_of
+from assets.reporting import Metadata, inline_picture
+from deltasafe import presets
+
+PRESET = presets.active()
+GROUP = "planner_study"
+OWNERS = ["team:motion"]
+
+ComparisonConfig = configurable(PRESET.comparison)
+TimingConfig = configurable(PRESET.timing)
+
+
+class CostConfig(dg.Config):
+    """Run k of every method and level has the seed `first_seed` + k."""
+
+    study: ComparisonConfig = ComparisonConfig()
+    workers: int = 2
+
+
+class TimeConfig(dg.Config):
+    """CPU time is measured; more `workers` than idle cores disturb each other."""
+
+    study: TimingConfig = TimingConfig()
+    workers: int = 2
+
+
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1")
+def planner_costs(
+    context: dg.AssetExecutionContext, config: CostConfig, store: dg.ResourceParam[Store]
+) -> dg.Output[pathlib.Path]:
+    """Fig. 5: cost of planned paths over the uncertainty, four methods and references, every path checked again."""
+    from deltasafe.planner_study import compare
+
+    batches = store.folder("planner_costs", "batches")
+    found = compare(config.study.settings(), batches, config.workers, progress_of(context))
+    folder = store.folder("planner_costs", context.run_id[:8])
+    found.save(folder)
+    return dg.Output(folder, metadata={"minutes": found.effort.minutes, "CPU minutes": found.effort.cpu_minutes})
+
+
+# after the costs, so that nothing else runs while times are measured
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1", deps=[planner_costs])
+def planner_times(
+    context: dg.AssetExecutionContext, config: TimeConfig, store: dg.ResourceParam[Store]
+) -> dg.Output[pathlib.Path]:
+    """Fig. 6: time of a search over 1 to 100 obstacles, for all methods, the field given and the field built."""
+    from deltasafe.planner_study import measure_times
+
+    batches = store.folder("planner_times", "batches")
+    found = measure_times(config.study.settings(), batches, config.workers, progress_of(context))
+    folder = store.folder("planner_times", context.run_id[:8])
+    found.save(folder)
+    return dg.Output(folder, metadata={"minutes": found.effort.minutes, "CPU minutes": found.effort.cpu_minutes})
+
+
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1")
+def planner_report(
+    context: dg.AssetExecutionContext,
+    planner_costs: pathlib.Path,
+    planner_times: pathlib.Path,
+    store: dg.ResourceParam[Store],
+) -> dg.Output[pathlib.Path]:
+    """Which of the paper's effects hold and which do not, beside the paper's own curves."""
+    from deltasafe.planner_study import Comparison, Timing, write_study
+
+    folder = store.folder("planner_report", context.run_id[:8])
+    figures = write_study(Comparison.load(planner_costs), Timing.load(planner_times), folder)
+    metadata: Metadata = {
+        "report": dg.MetadataValue.md((folder / "report.md").read_text(encoding="utf-8")),
+        **{name: inline_picture(folder / f"{name}.png") for name in ("fig5", "fig5_references", "fig6", "space")},
+        **figures,
+        "folder": str(folder),
+    }
+    return dg.Output(folder, metadata=metadata)

@@ -1,0 +1,101 @@
+"""`make planner-study`: Fig. 5 and Fig. 6 as one Dagster run; finished batches are found again."""
+
+import argparse
+import os
+import pathlib
+import sys
+from typing import Any
+
+from deltasafe.presets import VARIABLE
+from deltasafe.storage import atomic_folder, read_json, write_json
+from pipelines.home import prepare_home
+
+__all__ = ["main"]
+
+
+def planner_study():  # type: ignore[no-untyped-def]
+    """The job, found again by name in the processes of its steps."""
+    from pipelines.definitions import defs
+
+    return defs().resolve_job_def("planner_study")
+
+
+def main() -> int:
+    """Run the job; 0 if every step passed, 1 otherwise."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.planner_study", description=__doc__)
+    parser.add_argument("--record", type=pathlib.Path, help="also write the figures to this file (docs/results/...)")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one a core by default")
+    options = parser.parse_args()
+    root = prepare_home()
+    print(f"Everything that is made goes to {root}", flush=True)
+
+    import dagster as dg
+
+    config: dict[str, Any] = {
+        "loggers": {"console": {"config": {}}},
+        "ops": {name: {"config": {"workers": options.workers}} for name in ("planner_costs", "planner_times")},
+    }
+    with dg.DagsterInstance.get() as instance:
+        if not dg.execute_job(dg.reconstructable(planner_study), instance=instance, run_config=config).success:
+            print(
+                "\nThe run failed. `make planner-study` goes on with what is finished; `make ui` shows the failed step."
+            )
+            return 1
+    folder = _report(root)
+    figures = read_json(folder / "figures.json")
+    _print_summary(folder, figures)
+    if options.record:
+        _record(options.record, figures, folder, root)
+    return 0
+
+
+def _report(root: pathlib.Path) -> pathlib.Path:
+    import dagster as dg
+
+    from pipelines.io import FolderPointers
+
+    return FolderPointers(home=str(root)).folder(dg.AssetKey("planner_report"))
+
+
+def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathlib.Path, root: pathlib.Path) -> None:
+    """Figures with what made them, and beside them the report with its pictures in sizes that a page can show."""
+    from PIL import Image
+
+    from pipelines.provenance import commit, machine
+
+    costs, times = (read_json(folder / f"{name}_runs" / "study.json")["settings"] for name in ("fig5", "fig6"))
+    preset = os.environ.get(VARIABLE) or "default"
+    write_json(
+        destination,
+        {
+            "figures": figures,
+            "command": "make planner-study" + ("" if preset == "default" else f" PRESET={preset}"),
+            "commit": commit(),
+            "seeds": {
+                "fig5_from": costs["first_seed"],
+                "fig6_from": times["first_seed"],
+                "fig6_scene": times["scene_seed"],
+            },
+            "machine": machine(),
+        },
+    )
+    with atomic_folder(destination.parent / "planner") as temporary:
+        (temporary / "report.md").write_text((folder / "report.md").read_text(encoding="utf-8"), encoding="utf-8")
+        for picture in sorted(folder.glob("*.png")):
+            with Image.open(picture) as opened:
+                reduced = opened.convert("RGB").quantize(128, dither=Image.Dither.NONE)
+            reduced.save(temporary / picture.name, optimize=True)
+
+
+def _print_summary(folder: pathlib.Path, figures: dict[str, float]) -> None:
+    effects = {name.removeprefix("holds_"): bool(value) for name, value in figures.items() if name.startswith("holds_")}
+    print(f"\nFig. 5: {figures['plans']:.0f} plans in {figures['fig5_minutes']:.1f} minutes ", end="")
+    print(f"({figures['fig5_cpu_minutes']:.1f} of one core); Fig. 6: {figures['fig6_minutes']:.1f} minutes ", end="")
+    print(f"({figures['fig6_cpu_minutes']:.1f})\n")
+    for name, holds in effects.items():
+        print(f"  {'holds         ' if holds else 'does not hold '} {name.replace('_', ' ')}")
+    print(f"\n  report  {folder / 'report.md'}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
