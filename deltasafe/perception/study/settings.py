@@ -18,12 +18,14 @@ class Cell:
         n_images: size of the augmented set.
         n_members: M.
         left_out: method of our scheme that is never applied; empty for the whole scheme.
+        full: trained by the preset's recipe where the comparisons have a lighter one.
     """
 
     scheme: str
     n_images: int
     n_members: int
     left_out: str = ""
+    full: bool = False
 
     def __post_init__(self) -> None:
         if self.scheme not in SCHEMES:
@@ -38,13 +40,17 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """For folders, partitions and figures: ``mixup-200``, ``ours-1000-without-flip``."""
-        return f"{self.scheme}-{self.n_images}" + (f"-without-{self.left_out}" if self.left_out else "")
+        """For folders, partitions and figures: ``mixup-200``, ``ours-1000-without-flip``, ``ours-1000-full``."""
+        without = f"-without-{self.left_out}" if self.left_out else ""
+        return f"{self.scheme}-{self.n_images}{without}{'-full' if self.full else ''}"
 
 
 @dataclasses.dataclass(frozen=True)
 class StudySettings:
     """Extent of the studies; network, training and inference are those of the preset.
+
+    Tables I and II and the ablation may have a lighter recipe, the same for all of their cells: they compare, and their
+    many ensembles would take a day on two cores. Table III and Fig. 4 always have the preset's.
 
     Attributes:
         sizes: of the augmented sets; every cell is trained with as many gradient steps as the largest.
@@ -54,6 +60,8 @@ class StudySettings:
         left_out: methods of the ablation, one after another, at the largest size.
         cutout_side: see `CutoutSettings`.
         mixup_alpha: see `MixupSettings`.
+        comparison_width: of the images of Tables I and II and the ablation, in pixels; 0 is the preset's.
+        comparison_epochs: over a set of the largest size, for the same; 0 is the preset's.
         first_seed: member m of every cell has the seed ``first_seed`` + m.
     """
 
@@ -64,6 +72,8 @@ class StudySettings:
     left_out: tuple[str, ...] = METHOD_NAMES
     cutout_side: float = 0.5
     mixup_alpha: float = 0.4
+    comparison_width: int = 0
+    comparison_epochs: int = 0
     first_seed: int = 0
 
     def __post_init__(self) -> None:
@@ -79,22 +89,25 @@ class StudySettings:
             raise SettingsError(
                 f"n_members_ablation must lie in 1..n_members ({self.n_members}), got {self.n_members_ablation}"
             )
-        if self.first_seed < 0:
-            raise SettingsError(f"first_seed must not be negative, got {self.first_seed}")
+        for name in ("first_seed", "comparison_width", "comparison_epochs"):
+            if getattr(self, name) < 0:
+                raise SettingsError(f"{name} must not be negative, got {getattr(self, name)}")
         self.cells()
 
     @property
+    def lighter(self) -> bool:
+        """Whether the comparisons have a recipe of their own."""
+        return self.comparison_width > 0 or self.comparison_epochs > 0
+
+    @property
     def largest(self) -> Cell:
-        """Our scheme at the largest size: the ensemble of Table III, and what the ablation is compared with."""
-        return Cell("ours", self.sizes[-1], self.n_members_most)
+        """Our scheme at the largest size with the preset's recipe: the ensemble of Table III."""
+        return Cell("ours", self.sizes[-1], self.n_members_most, full=self.lighter)
 
     def schemes(self) -> tuple[Cell, ...]:
         """Cells of Tables I and II, in the order of the paper."""
-        return tuple(
-            self.largest if (scheme, n_images) == ("ours", self.sizes[-1]) else Cell(scheme, n_images, self.n_members)
-            for n_images in self.sizes
-            for scheme in SCHEMES
-        )
+        cells = [Cell(scheme, n_images, self.n_members) for n_images in self.sizes for scheme in SCHEMES]
+        return tuple(self.largest if cell.name == self.largest.name else cell for cell in cells)
 
     def ablation(self) -> tuple[Cell, ...]:
         """Our scheme with one method left out."""
@@ -103,4 +116,4 @@ class StudySettings:
     def cells(self) -> tuple[Cell, ...]:
         """All cells, in the order in which to work: ours first, the largest sets first, the ablation last."""
         schemes = sorted(self.schemes(), key=lambda cell: (cell.scheme != "ours", -cell.n_images))
-        return (*schemes, *self.ablation())
+        return tuple(dict.fromkeys((self.largest, *schemes, *self.ablation())))

@@ -41,7 +41,8 @@ class Study:
         settings: which cells there are.
         augmentation: of our scheme; its ``n_variants`` and ``left_out`` are the cells'. The compared schemes share
             its size and seed.
-        training: of a cell of the largest size; smaller ones get more epochs, so that all take as many steps.
+        training: of a cell of the largest size; smaller ones get more epochs, so that all take as many steps. Width of
+            the images and epochs are ``settings``' own for comparisons that have a lighter recipe.
         inference: resolution at which every ensemble looks.
         calibration: bootstrap of the intervals.
         train: the originals.
@@ -73,7 +74,7 @@ class Study:
         n_variants, rest = divmod(cell.n_images, len(self.train))
         if rest or not n_variants:
             raise SettingsError(f"{cell.n_images} images are no multiple of the {len(self.train)} originals")
-        ours = self.augmentation
+        ours = self._lightened(cell)
         if cell.scheme == "ours":
             left_out = (cell.left_out,) if cell.left_out else ()
             return dataclasses.replace(ours, n_variants=n_variants, left_out=left_out)
@@ -92,22 +93,22 @@ class Study:
         Raises:
             SettingsError: no whole number of epochs has that many steps.
         """
-        epochs, rest = divmod(self.n_steps, self._steps_per_epoch(cell.n_images))
+        n_steps = self.n_steps(cell)
+        epochs, rest = divmod(n_steps, self._steps_per_epoch(cell.n_images))
         if rest:
             raise SettingsError(
-                f"{self.n_steps} steps are no whole number of epochs over {cell.n_images} images with batch_size "
+                f"{n_steps} steps are no whole number of epochs over {cell.n_images} images with batch_size "
                 f"{self.training.batch_size}; choose sizes that are multiples of each other and of the batch"
             )
         training = dataclasses.replace(self.training, epochs=epochs)
         if training.schedule == "exponential":  # which counts in epochs
-            decay = training.epoch_decay ** (self.training.epochs / epochs)
+            decay = training.epoch_decay ** (self._epochs(cell) / epochs)
             training = dataclasses.replace(training, epoch_decay=decay)
         return training
 
-    @property
-    def n_steps(self) -> int:
-        """Gradient steps of every member of every cell."""
-        return self.training.epochs * self._steps_per_epoch(self.settings.sizes[-1])
+    def n_steps(self, cell: Cell) -> int:
+        """Gradient steps of every member of ``cell``; the same in all cells of one recipe."""
+        return self._epochs(cell) * self._steps_per_epoch(self.settings.sizes[-1])
 
     def find_set(self, cell: Cell) -> AugmentedSet | None:
         """The augmented set of ``cell``, if it was made."""
@@ -141,7 +142,7 @@ class Study:
 
     def steps_left(self, cell: Cell) -> int:
         """Gradient steps of the members of ``cell`` that are not finished (checkpoints not counted)."""
-        return self.n_steps * (cell.n_members - len(self.find_members(cell)))
+        return self.n_steps(cell) * (cell.n_members - len(self.find_members(cell)))
 
     def augmented_set(self, cell: Cell, progress: Progress = silent) -> AugmentedSet:
         """The augmented set of ``cell``, made where there is none."""
@@ -163,7 +164,7 @@ class Study:
         missing = [job for job in jobs if Member.find(job.folder, identities[job.seed]) is None]
         train_members(missing, data.folder, training, device=self.device, workers=self.workers, on_step=on_step)
         members = [Member.load(job.folder) for job in jobs]
-        assert {len(member.losses) for member in members} == {self.n_steps}
+        assert {len(member.losses) for member in members} == {self.n_steps(cell)}
         return members
 
     def predictions(self, members: Sequence[Member], progress: Progress = silent) -> "Stacked":
@@ -181,6 +182,17 @@ class Study:
         report = calibrate(ids, self._labels, self.predictions(members, progress), self.calibration, progress)
         write_json(self.report_folder(cell) / "report.json", report)
         return report
+
+    def _epochs(self, cell: Cell) -> int:
+        lighter = 0 if cell.full else self.settings.comparison_epochs
+        return lighter or self.training.epochs
+
+    def _lightened(self, cell: Cell) -> AugmentationSettings:
+        width = 0 if cell.full else self.settings.comparison_width
+        if not width:
+            return self.augmentation
+        height = round(width * self.augmentation.height / self.augmentation.width)
+        return dataclasses.replace(self.augmentation, width=width, height=height)
 
     def _seeds(self, cell: Cell) -> range:
         return range(self.settings.first_seed, self.settings.first_seed + cell.n_members)

@@ -121,7 +121,7 @@ def scheme_rows(settings: StudySettings, reports: Reports) -> tuple[SchemeRow, .
 
 def ablation_rows(settings: StudySettings, reports: Reports) -> tuple[AblationRow, ...]:
     """Finished rows of the ablation, in the order of the methods."""
-    whole, rows = reports.get(settings.largest.name), []
+    whole, rows = reports.get(Cell("ours", settings.sizes[-1], settings.n_members).name), []
     for cell in settings.ablation():
         if (report := reports.get(cell.name)) is None:
             continue

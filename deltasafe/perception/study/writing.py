@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from deltasafe.perception.ensemble_size import ensemble_size_table, ensemble_size_values
 from deltasafe.perception.markdown import table
 from deltasafe.perception.metrics import Scores
-from deltasafe.perception.study.settings import StudySettings
+from deltasafe.perception.study.settings import Cell, StudySettings
 from deltasafe.perception.study.tables import (
     SCHEME_TITLES,
     AblationRow,
@@ -96,7 +96,8 @@ def _ablation(settings: StudySettings, reports: Reports) -> _Section:
     rows = ablation_rows(settings, reports)
     pictures = {"ablation.png": ablation_figure(rows)} if any(row.loss is not None for row in rows) else {}
     text = ablation_markdown(rows) if rows else ""
-    missing = missing_cells((settings.largest, *settings.ablation()), reports)
+    whole = Cell("ours", settings.sizes[-1], settings.n_members)
+    missing = missing_cells((whole, *settings.ablation()), reports)
     return _section("Ablation: one method left out", missing, text, pictures)
 
 
@@ -114,6 +115,19 @@ def scheme_markdown(rows: Sequence[SchemeRow], settings: StudySettings) -> str:
         "the interval by bootstrap over test images. The headings of the paper's Table II are swapped, here they are "
         'corrected; its row "1000 images, our scheme" is an ensemble of M = 10, the M of its others is not given.'
     )
+    if settings.lighter:
+        notes += (
+            " The recipe of all these cells is a lighter one, the same for all: "
+            + " and ".join(
+                text
+                for value, text in (
+                    (settings.comparison_width, f"images {settings.comparison_width} pixels wide"),
+                    (settings.comparison_epochs, f"{settings.comparison_epochs} epochs over the largest set"),
+                )
+                if value
+            )
+            + ", all else as in the preset; the figures are worse than Table III's for that reason."
+        )
     lead_note = (
         "Lead of our scheme, interval by bootstrap over images (paired: both schemes on the same drawn images); "
         "above zero it is better."

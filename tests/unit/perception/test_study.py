@@ -84,8 +84,24 @@ def test_every_cell_of_every_preset_takes_the_same_number_of_steps(preset: str, 
     whole = dataclasses.replace(study, settings=chosen.study, training=chosen.training)
     for cell in chosen.study.cells():
         training = whole.training_settings(cell)
-        assert training.epochs * (cell.n_images // training.batch_size) == whole.n_steps
+        assert training.epochs * (cell.n_images // training.batch_size) == whole.n_steps(cell)
     assert whole.training_settings(chosen.study.largest) == chosen.training
+
+
+def test_comparisons_may_have_a_lighter_recipe_and_table_3_keeps_that_of_the_preset(study: Study) -> None:
+    settings = StudySettings(sizes=(300, 1500), comparison_width=96, comparison_epochs=1)
+    cells = settings.cells()
+    assert cells[0].name == settings.largest.name == "ours-1500-full"
+    assert len({cell.name for cell in cells}) == 1 + 10 + 8
+    assert {cell.n_members for cell in settings.schemes()} == {5}
+    lighter = dataclasses.replace(study, settings=settings, augmentation=AugmentationSettings(width=128, height=96))
+    lighter = dataclasses.replace(lighter, training=TrainingSettings(epochs=4))
+    steps = {cell.name: lighter.n_steps(cell) for cell in cells}
+    assert steps.pop("ours-1500-full") == 4 * set(steps.values()).pop()
+    assert len(set(steps.values())) == 1
+    sizes = {cell: lighter.scheme_settings(cell) for cell in cells if not cell.left_out}
+    assert (sizes[settings.largest].width, sizes[settings.largest].height) == (128, 96)
+    assert {(made.width, made.height) for cell, made in sizes.items() if not cell.full} == {(96, 72)}
 
 
 @given(st.integers(1, 9), st.integers(2, 16), st.integers(1, 30), st.integers(1, 12), st.booleans())
@@ -99,9 +115,9 @@ def test_smaller_sets_get_more_epochs_or_are_refused(
     try:
         made = other.training_settings(Cell("cutout", sizes[0], 1))
     except SettingsError:
-        assert other.n_steps % max(1, sizes[0] // batch)
+        assert other.n_steps(other.settings.largest) % max(1, sizes[0] // batch)
         return
-    assert made.epochs * max(1, sizes[0] // batch) == other.n_steps
+    assert made.epochs * max(1, sizes[0] // batch) == other.n_steps(other.settings.largest)
     assert made.epoch_decay**made.epochs == pytest.approx(
         training.epoch_decay ** (epochs if exponential else made.epochs)
     )
