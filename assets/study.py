@@ -125,7 +125,7 @@ def _reported(
     from deltasafe.perception.study.writing import write_study
 
     reports = {name: CalibrationReport.load(folder) for name, folder in judged.items()}
-    folder = store.folder(context.asset_key.to_user_string(), context.run_id[:8])
+    folder = store.folder(context.asset_key.to_user_string(), context.run.run_id[:8])
     report = write_study(folder, PRESET.study, reports, [section])
     metadata: Metadata = {"report": inline_report(report), "finished cells": len(reports), "folder": str(folder)}
     return dg.Output(folder, metadata=metadata)
