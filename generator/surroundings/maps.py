@@ -12,6 +12,8 @@ __all__ = ["MAPS", "procedural_map"]
 
 Array = NDArray[np.float64]
 HEIGHT, WIDTH = 256, 512
+# grass, asphalt, sand, earth, concrete
+GROUNDS = np.array([(0.07, 0.14, 0.03), (0.06, 0.06, 0.06), (0.34, 0.25, 0.15), (0.14, 0.08, 0.04), (0.25, 0.24, 0.22)])
 
 
 def _directions() -> Array:
@@ -67,13 +69,13 @@ def _outside(look: Array, rng: np.random.Generator) -> Array:
     sky = sky * (1 - 0.8 * clouds[:, None]) + 0.85 * clouds[:, None]
     near_sun = look @ sun
     sky += (3 * np.exp((near_sun - 1) * 40) + rng.uniform(200, 2000) * (near_sun > 0.9995))[:, None] * warm
-    ground = rng.uniform(0.03, 0.3, 3) * np.array([1.0, 1.1, 0.7])
+    ground = GROUNDS[rng.integers(len(GROUNDS))] * rng.uniform(0.6, 1.4)
     patches = 1 + 0.6 * fractal_noise(look / np.maximum(-up, 0.03)[:, None] * 2, seed + 9, 5)
     soil = ground * np.maximum(patches, 0.1)[:, None]
-    skyline = 0.02 + 0.13 * np.maximum(
-        fractal_noise(np.stack([*look[:, :2].T * 6, np.zeros(len(look))], 1), seed + 4, 6), 0
-    )
-    trees = rng.uniform(0.02, 0.15, 3) * (1 + 0.7 * fractal_noise(look * 40, seed + 6, 4))[:, None]
+    flat = np.column_stack([look[:, :2] * 6, np.zeros(len(look))])
+    skyline = 0.02 + 0.13 * np.maximum(fractal_noise(flat, seed + 4, 6), 0)
+    leaves = 1 + 0.7 * fractal_noise(look * 40, seed + 6, 4)[:, None]
+    trees = rng.uniform((0.02, 0.04, 0.01), (0.08, 0.12, 0.05)) * leaves
     return np.where((up < 0)[:, None], soil, np.where((up < skyline)[:, None], np.maximum(trees, 0.01), sky))
 
 

@@ -30,8 +30,9 @@ def _wood(points: Array, seed: int) -> Array:
 
 
 def _stone(points: Array, seed: int) -> Array:
-    grains = smoothstep(-0.3, 0.4, value_noise(points / 4, seed)) * smoothstep(
-        -0.5, 0.3, value_noise(points / 9, seed + 1)
+    skewed = points @ np.array([[0.8, 0.5, 0.3], [-0.5, 0.7, -0.4], [0, 0, 1]])  # hides the lattice
+    grains = smoothstep(-0.25, 0.25, fractal_noise(skewed / 5, seed)) * smoothstep(
+        -0.5, 0.2, value_noise(skewed / 11, seed + 1)
     )
     return 0.45 + 0.5 * grains + 0.15 * fractal_noise(points / 30, seed + 2)
 
