@@ -1,6 +1,7 @@
 # make demo  sets everything up and runs the whole chain on the embedded data (preset: PRESET=default)
 # make test  sets everything up and runs the checks and tests
 # make hands OUT=folder N=50 SET=test-like  and  make scenes OUT=folder N=100  render more pictures (docs/data.md)
+# make benchmarks  measures this machine: training, inference, the paper's preset (leave it alone meanwhile)
 # make ui    opens the Dagster UI (and MLflow's) on the same storage
 #
 # TORCH_INDEX=https://download.pytorch.org/whl/cpu makes the installation smaller on machines without a GPU.
@@ -14,7 +15,7 @@ STAMP := $(VENV)/.installed
 REQUIREMENTS := -e .[vision,sim] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: hands scenes surroundings demo test ui check lock clean record study planner-study
+.PHONY: hands scenes surroundings demo test ui check lock clean record study planner-study benchmarks
 
 demo: $(STAMP)
 	$(BIN)/python -m pipelines.demo
@@ -30,6 +31,12 @@ study: $(STAMP)
 # Fig. 5 and Fig. 6: minutes
 planner-study: $(STAMP)
 	$(BIN)/python -m pipelines.planner_study --record docs/results/planner_study.json
+
+# each in turns with what one would write first; half an hour, on a machine with nothing else to do
+benchmarks: $(STAMP)
+	$(BIN)/python -m benchmarks.inference --record docs/results/benchmarks_perception.json
+	$(BIN)/python -m benchmarks.training --record docs/results/benchmarks_perception.json
+	$(BIN)/python -m benchmarks.paper_preset --record docs/results/paper_preset.json
 
 test: $(STAMP) check
 	$(BIN)/python -m pytest -n 2 --dist loadfile
