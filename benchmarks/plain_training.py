@@ -1,5 +1,6 @@
 """The training that one writes first: PNG files, a DataLoader, float32, torch's defaults, one member after another."""
 
+import os
 import pathlib
 from collections.abc import Callable
 
@@ -48,7 +49,9 @@ def plain_training(
     """One epoch of each member; ``on_step`` hears (seed, step from 1, loss). Recipe and network as in ours."""
     for seed in seeds:
         torch.manual_seed(seed)
-        loader = DataLoader(pngs, settings.batch_size, shuffle=True, num_workers=2, drop_last=True)
+        loader = DataLoader(
+            pngs, settings.batch_size, shuffle=True, num_workers=min(2, os.cpu_count() or 1), drop_last=True
+        )
         network = build_network(settings.network, seed).train()
         optimiser = torch.optim.Adam(
             network.parameters(), lr=settings.peak_learning_rate, weight_decay=settings.weight_decay

@@ -79,7 +79,7 @@ class Bench:
         if options.tiny:
             augmentation = AugmentationSettings(width=64, height=48, supersampling=1)
             recipe = dataclasses.replace(recipe, network=NetworkSettings(pretrained=False, pyramid_channels=8))
-            recipe = dataclasses.replace(recipe, batch_size=2)
+            recipe = dataclasses.replace(recipe, batch_size=2, precision="float32")
         hands = HandSet.load(DATASETS / "hands" / "train")
         needed = recipe.batch_size * (options.steps + 1)
         n_hands = min(len(hands), needed)
