@@ -12,8 +12,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.figures.isosurface import isosurface
 from deltasafe.figures.painter import Painter, View
 from deltasafe.figures.search import search_from_above, search_in_space
-from deltasafe.planning import SafetyField, ToolBody
-from deltasafe.planning.rrt_star import SearchTree
+from deltasafe.planning import SafetyField, SearchTree, ToolBody
 from deltasafe.scene import Sphere, grid_from_shapes
 
 
