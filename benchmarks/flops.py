@@ -13,13 +13,15 @@ __all__ = ["training_flops"]
 
 
 def training_flops(network: nn.Module, height: int, width: int) -> int:
-    """FLOPs of forward and backward pass for one image of ``height`` x ``width``; a multiply-add is two."""
-    network = network.train()
-    images = torch.rand(2, 3, height, width)
+    """FLOPs of forward and backward pass for one image of ``height`` x ``width``; a multiply-add is two.
+
+    Nothing is computed: ``network`` is a throw-away one, whose weights are dropped.
+    """
+    network = network.train().to("meta")
+    images, labels = torch.rand(2, 3, height, width, device="meta"), torch.zeros(2, height, width, device="meta")
     counter = FlopCounterMode(display=False, custom_mapping={torch.ops.aten.convolution_backward: _backward})
     with counter:
-        functional.binary_cross_entropy_with_logits(network(images), torch.zeros(2, height, width)).backward()
-    network.zero_grad(set_to_none=True)
+        functional.binary_cross_entropy_with_logits(network(images), labels).backward()
     return counter.get_total_flops() // 2
 
 
