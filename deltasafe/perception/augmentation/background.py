@@ -15,7 +15,7 @@ from deltasafe.storage import digest_of, sha256_of_file
 
 __all__ = ["Backgrounds", "draw_background"]
 
-PHOTOGRAPH_SHARE = 0.5
+PHOTOGRAPH_SHARE = 0.4
 MIXED_SHARE = 0.2
 CLUTTERED_SHARE = 0.5
 FACE_SHARE = 0.08
@@ -61,7 +61,7 @@ def draw_background(
 ) -> tuple[np.ndarray, dict[str, object]]:
     """A new background ``(H, W, 3)`` float32 in [0, 1] and what it is made of.
 
-    Half are photographs (if there are any), half procedural surfaces; a fifth joins two of them at a table's edge,
+    40 % are photographs (if there are any), 60 % procedural surfaces; a fifth joins two of them at a table's edge,
     half carry one to four things that lie about, one in twelve shows somebody's head.
     """
     picture, source = _one(rng, backgrounds, width, height)

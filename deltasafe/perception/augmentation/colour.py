@@ -25,7 +25,7 @@ def colour_hand(
     if rng.random() < 0.5:
         drawn["side_light"] = float(rng.uniform(0.1, 0.5))
         rgb = rgb * light_falloff(rng, width, height, drawn["side_light"])
-    if rng.random() < 0.3:  # light that glares on the skin, or that a window throws on a part of it
+    if rng.random() < 0.12:  # light that glares on the skin, or that a window throws on a part of it
         patch = smooth_noise(rng, width, height, width / rng.uniform(3, 12), height / rng.uniform(3, 12))
         drawn["glare"] = float(rng.uniform(0.05, 0.45))
         bright = np.clip(patch * rng.uniform(1.2, 3.5) - rng.uniform(0, 0.7), 0, 1)[..., None]
