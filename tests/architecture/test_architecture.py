@@ -10,7 +10,9 @@ import sys
 import pytest
 
 ROOT = pathlib.Path(__file__).parents[2]
-MODULES = sorted(path for package in ("deltasafe", "assets", "pipelines", "generator") for path in (ROOT / package).rglob("*.py"))
+MODULES = sorted(
+    path for package in ("deltasafe", "assets", "pipelines", "generator") for path in (ROOT / package).rglob("*.py")
+)
 
 
 def test_import_contracts_hold():
