@@ -58,7 +58,8 @@ def test_the_paper_stands_beside_sizes_that_it_reports_and_nowhere_else(report):
 
 def test_values_name_every_measure_of_every_size(report):
     values = ensemble_size_values(report)
-    assert len(values) == 11 * 4 * 3
+    assert len(values) == 11 * 4 * 3 + 4
+    assert values["nll_m11_as_used"] == report.final.predictor.scores.nll
     assert values["bs_m4"] == report.ensembles[3].scores.brier
     assert values["miou_m11"] == report.ensembles[10].scores.miou
     for short in ("pa", "miou", "bs", "nll"):
@@ -66,7 +67,9 @@ def test_values_name_every_measure_of_every_size(report):
 
 
 def test_the_table_prints_the_paper_s_units(report):
-    lines = ensemble_size_table(report).splitlines()
+    text, note = ensemble_size_table(report).split("\n\n")
+    assert f"T = {report.final.temperature:.3f}" in note
+    lines = text.splitlines()
     assert len(lines) == 2 + 11
     assert len({line.count("|") for line in lines}) == 1
     cells = [cell.strip() for cell in lines[2 + 9].strip("|").split("|")]
