@@ -69,16 +69,15 @@ PRESETS = {
         n_films=1,
     ),
     # half an hour on two cores
-    "default": Preset(study=StudySettings(comparison_width=192, comparison_epochs=2)),
+    "default": Preset(study=StudySettings(comparison_epochs=2)),
     # the paper's network, image size and training recipe (decision 6), M = 10: a GPU's work
     "paper": Preset(
         n_members=10,
         augmentation=AugmentationSettings(width=384, height=288, supersampling=1),
         training=TrainingSettings(
-            NetworkSettings("deeplabv3", "resnet50", pyramid_channels=256, atrous_rates=(12, 24, 36)),
+            NetworkSettings("deeplabv3", "resnet50", pyramid_channels=256),
             epochs=3,
             batch_size=2,
-            small_share=0.0,
             peak_learning_rate=2e-4,
             schedule="exponential",
             epoch_decay=0.8,

@@ -28,15 +28,15 @@ class NetworkSettings:
         pretrained: begin from ImageNet weights where an installed package or a local cache holds them
             (never downloaded); the head is random for each member either way.
         pyramid_channels: width of the atrous pyramid; torchvision's default is 256.
-        atrous_rates: of the pyramid, in cells of stride 16. torchvision's (12, 24, 36) are meant for maps of 65 x 65
-            cells; on the 12 x 9 cells of a small image they reach outside everywhere and leave 1 x 1 convolutions.
+        atrous_rates: of the pyramid, in cells of stride 16; those of torchvision were made for maps of 65 x 65 cells,
+            on the 12 x 9 cells of a small image they reach outside nearly everywhere.
     """
 
     architecture: str = "deeplabv3plus"
     backbone: str = "efficientnet_lite0"
     pretrained: bool = True
     pyramid_channels: int = 128
-    atrous_rates: tuple[int, ...] = (2, 4, 6)
+    atrous_rates: tuple[int, ...] = (12, 24, 36)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "atrous_rates", tuple(self.atrous_rates))
@@ -78,13 +78,13 @@ class TrainingSettings:
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
     epochs: int = 4
     batch_size: int = 8
-    small_share: float = 0.75
+    small_share: float = 0.0
     small_scale: float = 0.625
     peak_learning_rate: float = 2e-3
     schedule: str = "one_cycle"
     epoch_decay: float = 0.8
     weight_decay: float = 1e-4
-    precision: str = "auto"
+    precision: str = "float32"
     compile: bool = False
     checkpoint_every_steps: int = 60
 

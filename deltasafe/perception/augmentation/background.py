@@ -8,7 +8,6 @@ import numpy as np
 
 from deltasafe.errors import DataError
 from deltasafe.perception.augmentation.clutter import add_clutter
-from deltasafe.perception.augmentation.faces import draw_face
 from deltasafe.perception.augmentation.textures import light_falloff, smooth_noise, surface
 from deltasafe.perception.hands import IMAGE_SUFFIXES, read_rgb
 from deltasafe.storage import digest_of, sha256_of_file
@@ -18,7 +17,6 @@ __all__ = ["Backgrounds", "draw_background"]
 PHOTOGRAPH_SHARE = 0.4
 MIXED_SHARE = 0.2
 CLUTTERED_SHARE = 0.5
-FACE_SHARE = 0.08
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,8 +59,9 @@ def draw_background(
 ) -> tuple[np.ndarray, dict[str, object]]:
     """A new background ``(H, W, 3)`` float32 in [0, 1] and what it is made of.
 
-    40 % are photographs (if there are any), 60 % procedural surfaces; a fifth joins two of them at a table's edge,
-    half carry one to four things that lie about, one in twelve shows somebody's head.
+    40 % are photographs (if there are any), 60 % procedural surfaces; a fifth joins two of them at a table's
+    edge,
+    half carry one to four things that lie about.
     """
     picture, source = _one(rng, backgrounds, width, height)
     recipe: dict[str, object] = {"source": source}
@@ -73,11 +72,6 @@ def draw_background(
         picture = picture * share + other * (1 - share)
     if rng.random() < CLUTTERED_SHARE:
         recipe["clutter"] = add_clutter(rng, picture, int(rng.integers(1, 5)))
-    if rng.random() < FACE_SHARE:
-        middle, radius = rng.uniform(0.0, 1.0, 2) * (width, height), rng.uniform(0.08, 0.28) * width
-        face = draw_face(rng, middle, radius, (width, height))
-        picture = picture + (face[..., :3] - picture) * face[..., 3:]
-        recipe["face_radius_px"] = float(radius)
     if rng.random() < 0.25:  # the shadow of something outside the picture
         patch = smooth_noise(rng, width, height, width / 2, height / 2) + rng.uniform(-0.3, 0.3)
         strength = rng.uniform(0.2, 0.6)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from deltasafe.perception.augmentation.skin import N_TONES, recolour, tone_lab
-from deltasafe.perception.augmentation.textures import light_falloff, smooth_noise
+from deltasafe.perception.augmentation.textures import light_falloff
 
 __all__ = ["colour_hand", "colour_picture"]
 
@@ -25,11 +25,6 @@ def colour_hand(
     if rng.random() < 0.5:
         drawn["side_light"] = float(rng.uniform(0.1, 0.5))
         rgb = rgb * light_falloff(rng, width, height, drawn["side_light"])
-    if rng.random() < 0.12:  # light that glares on the skin, or that a window throws on a part of it
-        patch = smooth_noise(rng, width, height, width / rng.uniform(3, 12), height / rng.uniform(3, 12))
-        drawn["glare"] = float(rng.uniform(0.05, 0.45))
-        bright = np.clip(patch * rng.uniform(1.2, 3.5) - rng.uniform(0, 0.7), 0, 1)[..., None]
-        rgb = rgb + np.float32(drawn["glare"]) * bright * (0.2 + 0.8 * rgb)
     if rng.random() < 0.25:  # against the light, or in a lamp's cone
         drawn["own_exposure_stops"] = float(rng.uniform(-0.8, 0.4))
         rgb = rgb * np.float32(2.0 ** drawn["own_exposure_stops"])

@@ -37,8 +37,8 @@ class AugmentationSettings:
     """
 
     n_variants: int = 20
-    width: int = 256
-    height: int = 192
+    width: int = 192
+    height: int = 144
     probability: float = 0.5
     supersampling: int = 2
     left_out: tuple[str, ...] = ()

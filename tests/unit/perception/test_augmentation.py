@@ -24,8 +24,6 @@ from deltasafe.perception.augmentation import (
     cut_out,
     image_seed,
 )
-from deltasafe.perception.augmentation.background import draw_background
-from deltasafe.perception.augmentation.faces import draw_face
 from deltasafe.perception.augmentation.noise import erase
 from deltasafe.perception.augmentation.skin import N_TONES, recolour, tone_lab
 
@@ -283,22 +281,3 @@ def test_every_public_name_exists_and_settings_need_no_opencv() -> None:
     asked_for = "from deltasafe.perception.augmentation import AugmentationSettings"
     program = f"import sys; {asked_for}; assert 'cv2' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True, cwd=pathlib.Path(__file__).parents[3])
-
-
-def test_a_face_covers_its_middle_and_stays_near_it():
-    for seed in range(8):
-        face = draw_face(np.random.default_rng(seed), np.array([60.0, 45.0]), 20.0, (160, 90))
-        assert face.shape == (90, 160, 4)
-        assert face.min() >= 0
-        assert face.max() <= 1
-        assert face[45, 60, 3] == 1
-        far = np.hypot(np.arange(160)[None, :] - 60, np.arange(90)[:, None] - 45) > 20 * 6.5
-        assert not face[..., 3][far].any()
-
-
-def test_one_background_in_twelve_shows_a_head():
-    shown = [
-        "face_radius_px" in draw_background(np.random.default_rng(seed), Backgrounds(), 48, 36)[1]
-        for seed in range(600)
-    ]
-    assert 0.05 < np.mean(shown) < 0.115
