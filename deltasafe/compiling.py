@@ -10,7 +10,7 @@ from typing import Any
 import numba
 from numba.core import caching
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "kernel"]
 
 
 @functools.cache
@@ -45,7 +45,19 @@ def compiled(function: Callable[..., Any]) -> Any:
     numba itself looks only at the file that holds the function: after a change to a collision test in
     another file it would go on running the old one. The stamp of the cache is therefore a digest of all sources.
     """
-    dispatcher = numba.njit(cache=True)(function)
+    return _cached(numba.njit(cache=True)(function))
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """``compiled`` for a function that makes no arrays: it counts no references to those that it is given.
+
+    Counting them for every array of a nested tuple at every call takes longer than a look-up, and many times longer
+    to compile. numba refuses to compile a kernel that allocates.
+    """
+    return _cached(numba.njit(cache=True, _nrt=False)(function))
+
+
+def _cached(dispatcher: Any) -> Any:
     cache = dispatcher._cache
     cache._cache_file = _Index(cache._cache_path, cache._impl.filename_base, _digest_of_sources())
     return dispatcher

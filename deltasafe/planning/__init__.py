@@ -13,9 +13,11 @@ from deltasafe.planning.cost import LineCost, area_m2, line_cost, path_cost
 from deltasafe.planning.field import SafetyField
 from deltasafe.planning.motion import MotionSettings, PlannedMotion, plan_motion
 from deltasafe.planning.refine import refine_path
-from deltasafe.planning.rrt_star import SearchTree, grow_tree
-from deltasafe.planning.scc_rrt_star import PlannerSettings, PlanResult, PlanStatus, plan
+from deltasafe.planning.results import PlanResult, PlanStatus
+from deltasafe.planning.rrt_star import RrtStar, grow_tree
+from deltasafe.planning.scc_rrt_star import Planner, PlannerSettings, plan
 from deltasafe.planning.tracking import TrackingBound
+from deltasafe.planning.tree import SearchTree
 from deltasafe.planning.velocity import SpeedProfile, VelocitySettings, schedule
 
 __all__ = [
@@ -25,7 +27,9 @@ __all__ = [
     "PlanResult",
     "PlanStatus",
     "PlannedMotion",
+    "Planner",
     "PlannerSettings",
+    "RrtStar",
     "SafetyField",
     "SearchTree",
     "SegmentTest",

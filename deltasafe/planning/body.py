@@ -20,7 +20,8 @@ class ToolBody:
     """An elliptic disc parallel to the table at the lower end of a slim vertical shaft (decision 12).
 
     The pose of the tool is the centre of the disc; yaw turns the ellipse, pi-periodically. The shaft rises
-    from the disc to the flange, ``shaft_length_m`` above the centre of the disc.
+    from the disc to the flange, ``shaft_length_m`` above the centre of the disc; a length of 0 means the disc alone,
+    as in section V-B of the paper.
     """
 
     semi_axis_x_m: float = 0.03
@@ -31,7 +32,7 @@ class ToolBody:
 
     def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():
-            if not (math.isfinite(value) and value > 0):
+            if not (math.isfinite(value) and (value > 0 or (name == "shaft_length_m" and value == 0))):
                 raise SettingsError(f"{name} must be a positive length in metres, got {value}")
         if self.shaft_radius_m > min(self.semi_axis_x_m, self.semi_axis_y_m):
             raise SettingsError(f"shaft_radius_m {self.shaft_radius_m} is wider than the disc")
@@ -52,6 +53,8 @@ class ToolBody:
         beside = distance_to_ellipse(points_m[:, :2], self.semi_axis_x_m, self.semi_axis_y_m)
         above = np.maximum(np.abs(points_m[:, 2]) - self.thickness_m / 2, 0.0)
         disc_m = np.hypot(beside, above)
+        if self.shaft_length_m == 0:
+            return np.asarray(disc_m)
         off_axis = np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]) - self.shaft_radius_m, 0.0)
         beyond = np.maximum(np.maximum(-points_m[:, 2], points_m[:, 2] - self.shaft_length_m), 0.0)
         return np.asarray(np.minimum(disc_m, np.hypot(off_axis, beyond)))
@@ -69,6 +72,8 @@ class ToolBody:
         wide = np.array([self.semi_axis_x_m + margin_m, self.semi_axis_y_m + margin_m])
         slim = np.full(2, self.shaft_radius_m + margin_m)
         top = max(self.shaft_length_m + margin_m, half)
+        if self.shaft_length_m == 0:
+            top = half
         share = 4 * wide.prod() * 2 * half
         share /= share + 4 * slim.prod() * (top - half)
         kept: list[Array] = []
@@ -113,6 +118,33 @@ class ToolBody:
         centres = centres[np.argsort(-np.hypot(centres[:, 0], centres[:, 1]), kind="stable")]
         centres.setflags(write=False)
         return centres, math.hypot(reach, half_layer)
+
+    @functools.cached_property
+    def disc_balls(self) -> Array:
+        """(m, 4) centres in the body's frame and radii of few balls whose union contains the disc, tight in its plane.
+
+        Centres lie on the medial axis of the ellipse, the segment between the centres of curvature of its tips;
+        radii reach the farthest point of the disc that is given to a ball, found on a grid as in ``disc_cover``.
+        """
+        major, minor = max(self.semi_axis_x_m, self.semi_axis_y_m), min(self.semi_axis_x_m, self.semi_axis_y_m)
+        half = major - minor**2 / major
+        count = 1 if half < 1e-6 else 2 * math.ceil(2.5 * half / minor) + 1
+        along = half * np.sin(np.linspace(-math.pi / 2, math.pi / 2, count)) if count > 1 else np.zeros(1)
+        inscribed = minor * np.sqrt(np.clip(1 - along**2 / max(major**2 - minor**2, 1e-12), 0, 1))
+        fine = minor / 100
+        gx, gy = np.meshgrid(np.arange(-major, major + fine, fine), np.arange(-minor, minor + fine, fine))
+        disc = np.column_stack([gx.ravel(), gy.ravel()])
+        disc = disc[distance_to_ellipse(disc, major, minor) <= fine]
+        away = np.hypot(disc[:, :1] - along, disc[:, 1:])
+        owner = (away - inscribed).argmin(axis=1)
+        radius = np.array([away[owner == n, n].max(initial=minor**2 / major) for n in range(count)])
+        radius = np.hypot(radius + fine / math.sqrt(2), self.thickness_m / 2)
+        flat = np.column_stack([along, np.zeros(count)])
+        if self.semi_axis_y_m > self.semi_axis_x_m:
+            flat = flat[:, ::-1]
+        balls = np.column_stack([flat, np.zeros(count), radius])
+        balls.setflags(write=False)
+        return balls
 
 
 def distance_to_ellipse(points_m: Array, a_m: float, b_m: float) -> Array:

@@ -7,16 +7,30 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import compiled
+from deltasafe.compiling import compiled, kernel
 from deltasafe.errors import SettingsError
 from deltasafe.planning.body import ToolBody
+from deltasafe.planning.clearance import (
+    BodyNumbers,
+    Surroundings,
+    certified_clearance_m,
+    clearance_of_pose,
+    is_certified,
+    is_surely_unsafe,
+    surroundings_of,
+)
 from deltasafe.planning.constraint import answers_segments, ask_segment
-from deltasafe.planning.field import FieldArrays, SafetyField, clearance_at, close_clearance_at, voxel_of
+from deltasafe.planning.counters import key_of_segment, mixed
+from deltasafe.planning.field import SafetyField
+from deltasafe.planning.scenarios import SamplePool, sample_pool, samples_are_free
 
 __all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_segment_safe", "segment_test"]
 
 METHODS = ("sampled", "exact", "continuous")
-POOL_SIZE = 16384
+MOST_SAMPLES = 16384
+GLANCE_M = 0.01
+LOOK_M, LOOK_CLOSELY_M = 0.01, 0.004
+"""Half of the motion of a piece from which on the few balls, and the cover, are asked."""
 
 Array = NDArray[np.float64]
 
@@ -33,51 +47,45 @@ class CheckSettings:
         delta_p_m: largest motion of any point of the body between two tested poses, for the first two methods;
             half of it is part of their margin (decision 18).
         resolution_m: ``continuous`` refuses when it cannot decide pieces with less motion than twice this.
-        use_certificate: settle poses far from obstacles by a coarse grid; changes nothing but the time.
+        use_certificate: settle poses far from obstacles by a coarse grid first; changes nothing but the time.
     """
 
     method: str = "continuous"
     n_samples: int = 100
     redraw_samples: bool = True
     delta_p_m: float = 0.01
-    resolution_m: float = 0.00025
+    resolution_m: float = 0.001
     use_certificate: bool = True
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise SettingsError(f"method must be one of {METHODS}, got {self.method!r}")
-        if not 1 <= self.n_samples <= POOL_SIZE:
-            raise SettingsError(f"n_samples must be between 1 and {POOL_SIZE}, got {self.n_samples}")
+        if not 1 <= self.n_samples <= MOST_SAMPLES:
+            raise SettingsError(f"n_samples must be between 1 and {MOST_SAMPLES}, got {self.n_samples}")
         for name in ("delta_p_m", "resolution_m"):
             if not (math.isfinite(getattr(self, name)) and 1e-5 <= getattr(self, name) <= 0.1):
                 raise SettingsError(f"{name} must be between 1e-5 and 0.1 m, got {getattr(self, name)}")
+        if self.resolution_m > LOOK_CLOSELY_M:
+            raise SettingsError(f"resolution_m must be at most {LOOK_CLOSELY_M} m, got {self.resolution_m}")
 
 
 class CheckNumbers(NamedTuple):
-    """The numbers of a segment test: of the body, of its cover, of the method (an index of ``METHODS``)."""
+    """The numbers of a segment test; ``method`` is an index of ``METHODS``."""
 
     method: int
-    cover_radius_m: float
-    disc_radius_m: float
-    half_thickness_m: float
-    shaft_radius_m: float
-    rho_max_m: float
     margin_m: float
     delta_p_m: float
     resolution_m: float
-    n_samples: int
-    redraw_samples: bool
     use_certificate: bool
     seed: int
-    floor_z_m: float
 
 
 class SegmentTest(NamedTuple):
     """All that a test needs, as compiled code reads it. Made by ``segment_test``."""
 
-    field: FieldArrays
-    cover: Array
-    samples: Array
+    around: Surroundings
+    body: BodyNumbers
+    pool: SamplePool
     numbers: CheckNumbers
 
 
@@ -96,27 +104,26 @@ def segment_test(
     settings = settings or CheckSettings()
     if not (math.isfinite(margin_m) and 0 <= margin_m <= 0.02):
         raise SettingsError(f"margin_m must be between 0 and 0.02 m, got {margin_m}")
-    cover, cover_radius_m = body.disc_cover
+    around, numbers = surroundings_of(field, body)
     sampled = settings.method == "sampled"
     return SegmentTest(
-        field.arrays,
-        cover,
-        body.samples(margin_m + settings.delta_p_m / 2, POOL_SIZE if sampled else 1, seed),
+        around,
+        numbers,
+        sample_pool(
+            field,
+            body,
+            margin_m + settings.delta_p_m / 2,
+            settings.n_samples if sampled else 0,
+            settings.redraw_samples,
+            seed,
+        ),
         CheckNumbers(
-            method=METHODS.index(settings.method),
-            cover_radius_m=cover_radius_m,
-            disc_radius_m=body.disc_radius_m,
-            half_thickness_m=body.thickness_m / 2,
-            shaft_radius_m=body.shaft_radius_m,
-            rho_max_m=body.rho_max_m,
-            margin_m=float(margin_m),
-            delta_p_m=settings.delta_p_m,
-            resolution_m=settings.resolution_m,
-            n_samples=settings.n_samples,
-            redraw_samples=settings.redraw_samples,
-            use_certificate=settings.use_certificate,
-            seed=seed,
-            floor_z_m=field.arrays.floor_z_m,
+            METHODS.index(settings.method),
+            float(margin_m),
+            settings.delta_p_m,
+            settings.resolution_m,
+            settings.use_certificate,
+            int(seed),
         ),
     )
 
@@ -128,77 +135,95 @@ def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
 
 def body_clearance_m(test: SegmentTest, poses: Array) -> Array:
     """d_o (N,) of poses (N, 4): lower bound of the distance of the body to the unsafe set, table included."""
-    return np.asarray(_clearances(test, np.ascontiguousarray(poses, dtype=np.float64)))
+    return np.asarray(_clearances(test.around, test.body, np.ascontiguousarray(poses, dtype=np.float64)))
 
 
 @answers_segments(SegmentTest)
-@compiled
+@kernel
 def _segment(test, first, second):  # type: ignore[no-untyped-def]
     start, end = first, second
-    for axis in range(4):  # one order for both directions: the test is symmetric
-        if first[axis] != second[axis]:
-            if first[axis] > second[axis]:
-                start, end = second, first
-            break
+    if _comes_after(first, second):  # one order for both directions: the test is symmetric
+        start, end = second, first
     if test.numbers.method == 2:
-        return _continuous(test.field, test.cover, test.numbers, start, end)
-    return _at_poses(test.field, test.cover, test.samples, test.numbers, start, end)
+        return _continuous(test.around, test.body, test.numbers, start, end)
+    return _at_poses(test.around, test.body, test.pool, test.numbers, start, end)
 
 
-@compiled
+@kernel
+def _comes_after(first, second):  # type: ignore[no-untyped-def]
+    for axis in range(4):
+        if first[axis] != second[axis]:
+            return first[axis] > second[axis]
+    return False
+
+
+@kernel
 def _motion(rho_max_m, start, end):  # type: ignore[no-untyped-def]
     """Bound of the way that any point of the body makes along a segment."""
     dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     return math.sqrt(dx * dx + dy * dy + dz * dz) + rho_max_m * abs(end[3] - start[3])
 
 
-@compiled
-def _at_poses(field, cover, samples, numbers, start, end):  # type: ignore[no-untyped-def]
+@kernel
+def _at(start, end, t):  # type: ignore[no-untyped-def]
+    return (
+        start[0] + t * (end[0] - start[0]),
+        start[1] + t * (end[1] - start[1]),
+        start[2] + t * (end[2] - start[2]),
+        start[3] + t * (end[3] - start[3]),
+    )
+
+
+@kernel
+def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyped-def]
     """``exact`` and ``sampled``: poses at most Delta_p apart, both ends included, with margin for the way between."""
-    steps = max(1, int(np.ceil(_motion(numbers.rho_max_m, start, end) / numbers.delta_p_m)))
+    steps = math.ceil(_motion(body.rho_max_m, start, end) / numbers.delta_p_m)
     need_m = numbers.margin_m + numbers.delta_p_m / 2
-    key = _mix(np.uint64(numbers.seed), start, end)
+    key, keyed = np.uint64(0), False
     for step in range(steps + 1):
-        t = step / steps
-        x, y, z = (
-            start[0] + t * (end[0] - start[0]),
-            start[1] + t * (end[1] - start[1]),
-            start[2] + t * (end[2] - start[2]),
-        )
-        yaw = start[3] + t * (end[3] - start[3])
-        if numbers.use_certificate and _certified(field, numbers, x, y, z, need_m):
+        x, y, z, yaw = _at(start, end, step / max(steps, 1))
+        if numbers.use_certificate and is_certified(around, x, y, z, need_m):
             continue
         if numbers.method == 1:
-            if _clearance(field.ball, field.ray, field.lattice, cover, numbers, x, y, z, yaw, need_m, need_m) < need_m:
+            clearance_m = clearance_of_pose(around, body, x, y, z, yaw, need_m, need_m, True)
+            if clearance_m < need_m and not is_certified(around, x, y, z, need_m):
                 return False
         else:
-            bits = _scramble(key + np.uint64(step) * np.uint64(0x9E3779B97F4A7C15))
-            if not _samples_are_free(field.ball, field.lattice, samples, numbers, x, y, z, yaw, bits):
+            if not keyed:
+                key, keyed = key_of_segment(np.uint64(numbers.seed), start, end), True
+            if not samples_are_free(around.lattice, pool, x, y, z, yaw, mixed(key, step + 1)):
                 return False
     return True
 
 
-@compiled
-def _continuous(field, cover, numbers, start, end):  # type: ignore[no-untyped-def]
-    """Bisection: a piece is safe if its middle pose is clear by the margin and half of the piece's motion."""
-    motion_m = _motion(numbers.rho_max_m, start, end)
+@kernel
+def _continuous(around, body, numbers, start, end):  # type: ignore[no-untyped-def]
+    """Bisection: a piece is safe if its middle pose is clear by the margin and half of the piece's motion.
+
+    Most refusals are plain: they are looked for first, at few poses, before anything is shown to be safe.
+    """
+    motion_m = _motion(body.rho_max_m, start, end)
+    poses = 1 + int(motion_m / GLANCE_M)
+    for n in range(poses):
+        x, y, z, yaw = _at(start, end, (n + 0.5) / poses)
+        if numbers.use_certificate and is_certified(around, x, y, z, numbers.margin_m):
+            continue
+        if is_surely_unsafe(around, body, x, y, z, yaw):
+            return False
     level, place = 0, 0
     while True:
         pieces = float(1 << level)
-        t = (place + 0.5) / pieces
         half_m = 0.5 * motion_m / pieces
         need_m = numbers.margin_m + half_m
-        x, y, z = (
-            start[0] + t * (end[0] - start[0]),
-            start[1] + t * (end[1] - start[1]),
-            start[2] + t * (end[2] - start[2]),
-        )
-        yaw = start[3] + t * (end[3] - start[3])
-        if not (numbers.use_certificate and _certified(field, numbers, x, y, z, need_m)):
-            clearance_m = _clearance(
-                field.ball, field.ray, field.lattice, cover, numbers, x, y, z, yaw, need_m, numbers.margin_m
-            )
-            if clearance_m < need_m:
+        x, y, z, yaw = _at(start, end, (place + 0.5) / pieces)
+        if not (numbers.use_certificate and is_certified(around, x, y, z, need_m)):
+            clearance_m = numbers.margin_m
+            if half_m <= LOOK_M:  # longer pieces are settled by the coarse grid or cut
+                closely = half_m <= LOOK_CLOSELY_M
+                clearance_m = clearance_of_pose(around, body, x, y, z, yaw, need_m, numbers.margin_m, closely)
+                if not closely:
+                    clearance_m = max(clearance_m, numbers.margin_m)
+            if clearance_m < need_m and not is_certified(around, x, y, z, need_m):
                 if clearance_m < numbers.margin_m or half_m <= numbers.resolution_m:
                     return False
                 level, place = level + 1, 2 * place
@@ -212,105 +237,11 @@ def _continuous(field, cover, numbers, start, end):  # type: ignore[no-untyped-d
 
 
 @compiled
-def _clearance(  # type: ignore[no-untyped-def]
-    ball, ray, lattice, cover, numbers, x, y, z, yaw, enough_m, least_of_use_m
-):
-    """Lower bound of the body's clearance: not sought further once below ``least_of_use_m`` or surely ``enough_m``.
-
-    Table: the disc's lower face. Shaft: the ray above the centre, thickened. Disc: its enclosing ball or, if
-    that is not clear by enough, the balls of its cover.
-    """
-    clearance_m = min(
-        z - numbers.half_thickness_m - numbers.floor_z_m,
-        close_clearance_at(ray, lattice, x, y, z) - numbers.shaft_radius_m,
-    )
-    if clearance_m < least_of_use_m:
-        return clearance_m
-    whole_m = clearance_at(ball, lattice, x, y, z) - numbers.disc_radius_m
-    if whole_m >= enough_m:
-        return min(clearance_m, whole_m)
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    for n in range(len(cover)):
-        u, v, w = cover[n, 0], cover[n, 1], cover[n, 2]
-        u, v, w = x + cos * u - sin * v, y + sin * u + cos * v, z + w
-        one_m = clearance_at(ball, lattice, u, v, w) - numbers.cover_radius_m
-        if one_m < enough_m:
-            one_m = close_clearance_at(ball, lattice, u, v, w) - numbers.cover_radius_m
-        clearance_m = min(clearance_m, one_m)
-        if clearance_m < least_of_use_m:
-            return clearance_m
-    return clearance_m
-
-
-@compiled
-def _certified(field, numbers, x, y, z, need_m):  # type: ignore[no-untyped-def]
-    """Whether the coarse grid alone shows that disc and shaft are clear by ``need_m``."""
-    if z - numbers.half_thickness_m - numbers.floor_z_m < need_m:
-        return False
-    i, j, k = voxel_of(field.lattice, x, y, z)
-    i, j, k = i // field.lattice.stride, j // field.lattice.stride, k // field.lattice.stride
-    return (
-        field.coarse_ball[i, j, k] >= numbers.disc_radius_m + need_m
-        and field.coarse_ray[i, j, k] >= numbers.shaft_radius_m + need_m
-    )
-
-
-@compiled
-def _samples_are_free(ball, lattice, samples, numbers, x, y, z, yaw, bits):  # type: ignore[no-untyped-def]
-    """The paper's scenario test of a pose. The draw is a function of segment and pose alone (counter-based).
-
-    N_x different points of a pool of uniform ones: a random first, and a random odd stride.
-    """
-    size = np.int64(len(samples))
-    place, stride = np.int64(0), np.int64(1)
-    if numbers.redraw_samples:
-        place = np.int64(bits & np.uint64(0x7FFFFFFF)) % size
-        stride = np.int64((bits >> np.uint64(32)) & np.uint64(0x7FFFFFFF)) % size | 1
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    for _ in range(numbers.n_samples):
-        u, v, w = samples[place, 0], samples[place, 1], samples[place, 2]
-        place = (place + stride) % size
-        if z + w < numbers.floor_z_m:
-            return False
-        i, j, k = voxel_of(lattice, x + cos * u - sin * v, y + sin * u + cos * v, z + w)
-        if ball[i, j, k] == 0.0:
-            return False
-    return True
-
-
-@compiled
-def _scramble(bits):  # type: ignore[no-untyped-def]
-    """The finaliser of splitmix64."""
-    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return bits ^ (bits >> np.uint64(31))
-
-
-@compiled
-def _mix(seed, start, end):  # type: ignore[no-untyped-def]
-    key = _scramble(seed + np.uint64(1))
-    for axis in range(4):
-        key = _scramble(key ^ np.uint64(np.int64(start[axis] * 1e9)))
-        key = _scramble(key ^ np.uint64(np.int64(end[axis] * 1e9)))
-    return key
-
-
-@compiled
-def _clearances(test, poses):  # type: ignore[no-untyped-def]
+def _clearances(around, body, poses):  # type: ignore[no-untyped-def]
     clearance_m = np.empty(len(poses))
     for n in range(len(poses)):
         x, y, z, yaw = poses[n, 0], poses[n, 1], poses[n, 2], poses[n, 3]
-        clearance_m[n] = _clearance(
-            test.field.ball,
-            test.field.ray,
-            test.field.lattice,
-            test.cover,
-            test.numbers,
-            x,
-            y,
-            z,
-            yaw,
-            np.inf,
-            -np.inf,
+        clearance_m[n] = max(
+            clearance_of_pose(around, body, x, y, z, yaw, np.inf, -np.inf, True), certified_clearance_m(around, x, y, z)
         )
     return clearance_m

@@ -6,25 +6,28 @@ from typing import Any
 from numba import types
 from numba.extending import overload
 
-from deltasafe.compiling import compiled
+from deltasafe.compiling import kernel
 
-__all__ = ["answers_segments", "segment_is_safe"]
+__all__ = ["answers_segments", "as_pose", "ask_segment", "segment_is_safe"]
 
 
 def segment_is_safe(constraint: Any, start: Any, end: Any) -> bool:
-    """Whether every pose of the straight segment between two poses (4,) meets the constraint.
+    """Whether every pose of the straight segment between two poses meets the constraint.
 
     Callable from compiled code alone, where it is resolved by the type of ``constraint``, a ``NamedTuple``
-    class for which ``answers_segments`` has registered a test.
+    class for which ``answers_segments`` has registered a test. Poses are tuples of four numbers.
     """
     raise TypeError("segment_is_safe is for compiled code; call ask_segment")
 
 
 def answers_segments(constraint_type: type) -> Callable[[Any], Any]:
-    """Register a compiled ``test(constraint, start, end) -> bool`` for a ``NamedTuple`` class."""
+    """Register a compiled ``test(constraint, start, end) -> bool`` for a ``NamedTuple`` class.
+
+    ``start`` and ``end`` are tuples (x, y, z, yaw), to be read by index.
+    """
 
     def register(test: Any) -> Any:
-        @overload(segment_is_safe)
+        @overload(segment_is_safe, jit_options={"_nrt": False})
         def resolve(constraint, start, end):  # type: ignore[no-untyped-def]
             if isinstance(constraint, types.BaseTuple) and (
                 getattr(constraint, "instance_class", None) is constraint_type
@@ -37,7 +40,13 @@ def answers_segments(constraint_type: type) -> Callable[[Any], Any]:
     return register
 
 
-@compiled
+@kernel
+def as_pose(pose):  # type: ignore[no-untyped-def]
+    """Array (4,) to tuple."""
+    return pose[0], pose[1], pose[2], pose[3]
+
+
+@kernel
 def ask_segment(constraint, start, end):  # type: ignore[no-untyped-def]
-    """``segment_is_safe`` for callers in Python."""
-    return segment_is_safe(constraint, start, end)
+    """``segment_is_safe`` for callers in Python, who hold poses as arrays (4,) of float64."""
+    return segment_is_safe(constraint, as_pose(start), as_pose(end))

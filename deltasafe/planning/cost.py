@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import compiled
+from deltasafe.compiling import kernel
 from deltasafe.errors import SettingsError
 
 __all__ = ["COSTS", "LineCost", "area_m2", "line_cost", "path_cost", "pose_distance"]
@@ -59,34 +59,35 @@ def area_m2(poses: Array, table_z_m: float) -> float:
     return float((height_m * np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)).sum())
 
 
-@compiled
+@kernel
 def pose_distance(rotation_weight_m2, a, b):  # type: ignore[no-untyped-def]
     """sqrt(|dx|^2 + r dphi^2) of poses with continuous yaw."""
     dx, dy, dz, dyaw = a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
     return math.sqrt(dx * dx + dy * dy + dz * dz + rotation_weight_m2 * dyaw * dyaw)
 
 
-@compiled
+@kernel
 def segment_cost(cost, a, b):  # type: ignore[no-untyped-def]
     """Cost of the segment between two poses (4,)."""
-    length = pose_distance(cost.rotation_weight_m2, a, b)
+    dx, dy, dz, dyaw = a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
+    way = dx * dx + dy * dy + dz * dz
+    squared = way + cost.rotation_weight_m2 * dyaw * dyaw
     if cost.kind == 0:
-        return length
+        return math.sqrt(squared)
     if cost.kind == 1:
-        return length * length
-    dx, dy, dz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+        return squared
     height = max(0.5 * (a[2] + b[2]) - cost.table_z_m, 0.0)
-    return height * math.sqrt(dx * dx + dy * dy + dz * dz) + cost.length_weight_m * length
+    return height * math.sqrt(way) + cost.length_weight_m * math.sqrt(squared)
 
 
-@compiled
+@kernel
 def least_cost(cost, lowest_z, a, b):  # type: ignore[no-untyped-def]
     """Lower bound of the cost of any path between two poses that stays above ``lowest_z``."""
+    if cost.kind == 1:
+        return 0.0
     length = pose_distance(cost.rotation_weight_m2, a, b)
     if cost.kind == 0:
         return length
-    if cost.kind == 1:
-        return 0.0
     dx, dy, dz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     height = max(lowest_z - cost.table_z_m, 0.0)
     return height * math.sqrt(dx * dx + dy * dy + dz * dz) + cost.length_weight_m * length

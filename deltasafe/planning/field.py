@@ -1,23 +1,28 @@
 """Distance to the unsafe set {p_occupied > delta}: conservative clearances, without noise (decision 23)."""
 
 import dataclasses
+import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import compiled
+from deltasafe.compiling import compiled, kernel
 from deltasafe.errors import SettingsError
+from deltasafe.planning.distances import MOST_VOXELS, squared_distance_to_voxels
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "close_clearance_at", "voxel_of"]
+__all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "close_clearance_at", "is_unsafe_at"]
 
 REACH_M = 0.06
-"""Clearances are exact up to this distance and capped there; nothing in planning asks for more."""
+"""Clearances are exact up to this distance and capped there; beyond it the coarse grid has a bound."""
 
-CERTIFICATE_M = 0.01
+COARSE_M = 0.01
 """Edge of a cell of the coarse grid of minimum clearances."""
+
+COARSE_REACH_M = 0.12
+ROUNDING = 1 - 1e-6
 
 
 class Lattice(NamedTuple):
@@ -27,6 +32,7 @@ class Lattice(NamedTuple):
     lower_y_m: float
     lower_z_m: float
     voxel_m: float
+    per_m: float
     nx: int
     ny: int
     nz: int
@@ -34,17 +40,14 @@ class Lattice(NamedTuple):
 
 
 class FieldArrays(NamedTuple):
-    """A safety field as compiled code reads it; distances from a voxel's centre, in metres.
+    """A safety field as compiled code reads it.
 
-    ``ball`` (nx, ny, nz) is the distance to the unsafe set, ``ray`` the smallest distance of any point straight
-    above. ``coarse_*`` are lower bounds of the clearance of every point of a block of ``lattice.stride`` voxels
-    an edge. ``floor_z_m`` is the table.
+    ``ball`` (nx, ny, nz) is the squared distance of a voxel's centre to the unsafe set, in half voxels squared, and
+    ``ray`` the smallest of all voxels straight above. ``floor_z_m`` is the table.
     """
 
-    ball: NDArray[np.float32]
-    ray: NDArray[np.float32]
-    coarse_ball: NDArray[np.float32]
-    coarse_ray: NDArray[np.float32]
+    ball: NDArray[np.uint16]
+    ray: NDArray[np.uint16]
     lattice: Lattice
     floor_z_m: float
 
@@ -54,7 +57,7 @@ class SafetyField:
     """The unsafe set of a grid at a level delta, and how far it is.
 
     The unsafe set is a union of whole voxels, of everything beside the grid below its upper face, and of the
-    half-space below its lower face (the table). Build it anew for another delta; the grid stays.
+    half-space below its lower face (the table). The grid serves any level: see ``at``.
     """
 
     grid: OccupancyGrid
@@ -63,44 +66,66 @@ class SafetyField:
 
     @classmethod
     def build(cls, grid: OccupancyGrid, delta: float) -> "SafetyField":
-        """Exact Euclidean distances to {p_occupied > delta}, up to ``REACH_M``.
+        """Exact Euclidean distances to {p_occupied > delta}, up to ``REACH_M`` (or 90 voxels, if that is less).
 
         Raises:
             SettingsError: delta is not in (0, 1).
         """
         if not (math.isfinite(delta) and 0 < delta < 1):
             raise SettingsError(f"delta must be in (0, 1), got {delta}")
-        reach = math.ceil(REACH_M / grid.voxel_m)
+        reach = min(math.ceil(REACH_M / grid.voxel_m), MOST_VOXELS)
+        nx, ny, nz = grid.p_occupied.shape
         # one voxel of the unknown on each side, free space above: further out nothing changes
-        unsafe = np.pad(grid.p_occupied.astype(np.float64) > delta, ((1, 1), (1, 1), (0, 0)), constant_values=True)
-        unsafe = np.pad(unsafe, ((0, 0), (0, 0), (0, reach)))
-        squared = squared_distance_to_voxels(unsafe, reach)
-        ball = np.sqrt(squared, out=squared) * np.float32(grid.voxel_m * (1 - 1e-6))
-        ray = np.ascontiguousarray(np.minimum.accumulate(ball[:, :, ::-1], axis=2)[:, :, ::-1])
-        stride = max(1, round(CERTIFICATE_M / grid.voxel_m))
-        arrays = FieldArrays(
-            ball=ball,
-            ray=ray,
-            coarse_ball=_block_minimum(ball, stride, grid.voxel_m),
-            coarse_ray=_block_minimum(ray, stride, grid.voxel_m),
-            lattice=Lattice(
-                float(grid.origin_m[0] - grid.voxel_m),
-                float(grid.origin_m[1] - grid.voxel_m),
-                float(grid.origin_m[2]),
-                grid.voxel_m,
-                ball.shape[0],
-                ball.shape[1],
-                ball.shape[2],
-                stride,
-            ),
-            floor_z_m=float(grid.origin_m[2]),
+        unsafe = np.ones((nx + 2, ny + 2, nz + reach), np.bool_)
+        unsafe[:, :, nz:] = False
+        level = np.float32(delta)  # the largest single-precision number up to delta: the comparison stays exact
+        level = level if float(level) <= delta else np.nextafter(level, np.float32(0))
+        np.greater(grid.p_occupied, level, out=unsafe[1:-1, 1:-1, :nz])
+        ball = squared_distance_to_voxels(unsafe, reach)
+        lattice = Lattice(
+            float(grid.origin_m[0] - grid.voxel_m),
+            float(grid.origin_m[1] - grid.voxel_m),
+            float(grid.origin_m[2]),
+            grid.voxel_m,
+            1.0 / grid.voxel_m,
+            nx + 2,
+            ny + 2,
+            nz + reach,
+            max(1, round(COARSE_M / grid.voxel_m)),
         )
-        return cls(grid, float(delta), arrays)
+        return cls(grid, float(delta), FieldArrays(ball, _lowest_above(ball), lattice, float(grid.origin_m[2])))
+
+    def at(self, delta: float) -> "SafetyField":
+        """The field of the same grid at another level; only distances are computed anew."""
+        return self if delta == self.delta else SafetyField.build(self.grid, delta)
 
     @property
     def top_z_m(self) -> float:
         """Height of the field's upper face; above it all is free."""
         return float(self.grid.upper_m[2])
+
+    @functools.cached_property
+    def unsafe_bits(self) -> NDArray[np.uint8]:
+        """The unsafe voxels, eight along z a byte, the lowest in its lowest bit."""
+        return np.packbits(self.arrays.ball == 0, axis=2, bitorder="little")
+
+    @functools.cached_property
+    def coarse_clearance_m(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Lower bounds of the distance to unsafe voxels over all points of a block of ``stride`` voxels an edge.
+
+        Of a point and of the ray above it. Beyond the reach of the voxels' distances a transform of the blocks goes on.
+        """
+        lattice = self.arrays.lattice
+        cell_m = lattice.stride * lattice.voxel_m
+        bounds = []
+        for squared in (self.arrays.ball, self.arrays.ray):
+            least = _block_minimum(squared, lattice.stride)
+            near_m = np.sqrt(least, dtype=np.float32) * (lattice.voxel_m / 2 * ROUNDING)
+            near_m -= lattice.voxel_m * math.sqrt(3) / 2 * (2 - ROUNDING)
+            far = squared_distance_to_voxels(least == 0, min(math.ceil(COARSE_REACH_M / cell_m), MOST_VOXELS))
+            far_m = np.sqrt(far, dtype=np.float32) * (cell_m / 2 * ROUNDING) - cell_m * math.sqrt(3) / 2
+            bounds.append(np.maximum(near_m, far_m))
+        return bounds[0], bounds[1]
 
     def clearance_m(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Lower bound (N,) of the distance of points (N, 3) to the unsafe set, table included; <= 0 if unsafe.
@@ -111,47 +136,47 @@ class SafetyField:
         return np.asarray(_clearances(self.arrays, points_m))
 
 
-@compiled
-def clearance_at(distances, lattice, x, y, z):  # type: ignore[no-untyped-def]
+@kernel
+def clearance_at(squared, lattice, x, y, z):  # type: ignore[no-untyped-def]
     """Lower bound of the distance of a point (or of the ray above it) to the unsafe voxels; the table is apart.
 
     The distance of the voxel's centre less the way from there: the distance function is 1-Lipschitz. Beyond the
     stored box the nearest stored point is no farther from the unsafe set, so looking there is conservative.
     """
-    u = min(max((x - lattice.lower_x_m) / lattice.voxel_m, 0.0), float(lattice.nx))
-    v = min(max((y - lattice.lower_y_m) / lattice.voxel_m, 0.0), float(lattice.ny))
-    w = min(max((z - lattice.lower_z_m) / lattice.voxel_m, 0.0), float(lattice.nz))
+    u = min(max((x - lattice.lower_x_m) * lattice.per_m, 0.0), float(lattice.nx))
+    v = min(max((y - lattice.lower_y_m) * lattice.per_m, 0.0), float(lattice.ny))
+    w = min(max((z - lattice.lower_z_m) * lattice.per_m, 0.0), float(lattice.nz))
     i, j, k = min(int(u), lattice.nx - 1), min(int(v), lattice.ny - 1), min(int(w), lattice.nz - 1)
     u, v, w = u - i - 0.5, v - j - 0.5, w - k - 0.5
-    return distances[i, j, k] - lattice.voxel_m * math.sqrt(u * u + v * v + w * w)
+    return lattice.voxel_m * (0.5 * ROUNDING * math.sqrt(squared[i, j, k]) - math.sqrt(u * u + v * v + w * w))
 
 
-@compiled
-def close_clearance_at(distances, lattice, x, y, z):  # type: ignore[no-untyped-def]
+@kernel
+def is_unsafe_at(squared, lattice, x, y, z):  # type: ignore[no-untyped-def]
+    """Whether a point lies in an unsafe voxel, or beside the field."""
+    i = int(min(max((x - lattice.lower_x_m) * lattice.per_m, 0.0), lattice.nx - 1.0))
+    j = int(min(max((y - lattice.lower_y_m) * lattice.per_m, 0.0), lattice.ny - 1.0))
+    k = int(min(max((z - lattice.lower_z_m) * lattice.per_m, 0.0), lattice.nz - 1.0))
+    return squared[i, j, k] == 0
+
+
+@kernel
+def close_clearance_at(squared, lattice, x, y, z):  # type: ignore[no-untyped-def]
     """The best of the bounds of the eight voxels around a point: eight times the work, a fraction of the loss."""
-    u = min(max((x - lattice.lower_x_m) / lattice.voxel_m, 0.0), float(lattice.nx)) - 0.5
-    v = min(max((y - lattice.lower_y_m) / lattice.voxel_m, 0.0), float(lattice.ny)) - 0.5
-    w = min(max((z - lattice.lower_z_m) / lattice.voxel_m, 0.0), float(lattice.nz)) - 0.5
-    i = min(max(int(np.floor(u)), 0), max(lattice.nx - 2, 0))
-    j = min(max(int(np.floor(v)), 0), max(lattice.ny - 2, 0))
-    k = min(max(int(np.floor(w)), 0), max(lattice.nz - 2, 0))
+    u = min(max((x - lattice.lower_x_m) * lattice.per_m, 0.0), float(lattice.nx)) - 0.5
+    v = min(max((y - lattice.lower_y_m) * lattice.per_m, 0.0), float(lattice.ny)) - 0.5
+    w = min(max((z - lattice.lower_z_m) * lattice.per_m, 0.0), float(lattice.nz)) - 0.5
+    i = min(max(math.floor(u), 0), max(lattice.nx - 2, 0))
+    j = min(max(math.floor(v), 0), max(lattice.ny - 2, 0))
+    k = min(max(math.floor(w), 0), max(lattice.nz - 2, 0))
     best = -np.inf
     for di in range(min(2, lattice.nx)):
         for dj in range(min(2, lattice.ny)):
             for dk in range(min(2, lattice.nz)):
                 du, dv, dw = u - i - di, v - j - dj, w - k - dk
-                away = lattice.voxel_m * math.sqrt(du * du + dv * dv + dw * dw)
-                best = max(best, distances[i + di, j + dj, k + dk] - away)
-    return best
-
-
-@compiled
-def voxel_of(lattice, x, y, z):  # type: ignore[no-untyped-def]
-    """Index of the voxel that holds a point, or of the stored voxel nearest to it."""
-    i = int(min(max((x - lattice.lower_x_m) / lattice.voxel_m, 0.0), lattice.nx - 1.0))
-    j = int(min(max((y - lattice.lower_y_m) / lattice.voxel_m, 0.0), lattice.ny - 1.0))
-    k = int(min(max((z - lattice.lower_z_m) / lattice.voxel_m, 0.0), lattice.nz - 1.0))
-    return i, j, k
+                away = math.sqrt(du * du + dv * dv + dw * dw)
+                best = max(best, 0.5 * ROUNDING * math.sqrt(squared[i + di, j + dj, k + dk]) - away)
+    return lattice.voxel_m * best
 
 
 @compiled
@@ -164,53 +189,26 @@ def _clearances(field, points_m):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def squared_distance_to_voxels(unsafe, reach):  # type: ignore[no-untyped-def]  # noqa: PLR0912 - three axes
-    """Squared distance, in voxels, from each centre to the nearest point of an unsafe voxel; at most reach^2.
-
-    Separable: along each axis the distance to a voxel n away is n - 1/2 (0 for n = 0). Along z two sweeps do;
-    along y and x the minimum over shifts, each a pass over contiguous rows. float32 (nx, ny, nz).
-    """
-    nx, ny, nz = unsafe.shape
-    limit = np.float32(reach * reach)
-    distance = np.empty((nx, ny, nz), np.float32)
+def _lowest_above(squared):  # type: ignore[no-untyped-def]
+    lowest = np.empty_like(squared)
+    nx, ny, nz = squared.shape
     for i in range(nx):
         for j in range(ny):
-            steps = reach + 1
-            for k in range(nz):
-                steps = 0 if unsafe[i, j, k] else steps + 1
-                distance[i, j, k] = min(np.float32(max(steps - 0.5, 0.0)) ** 2, limit)
-            steps = reach + 1
+            least = squared[i, j, nz - 1]
             for k in range(nz - 1, -1, -1):
-                steps = 0 if unsafe[i, j, k] else steps + 1
-                distance[i, j, k] = min(distance[i, j, k], np.float32(max(steps - 0.5, 0.0)) ** 2)
-    source = distance.copy()
+                least = min(least, squared[i, j, k])
+                lowest[i, j, k] = least
+    return lowest
+
+
+@compiled
+def _block_minimum(squared, stride):  # type: ignore[no-untyped-def]
+    nx, ny, nz = squared.shape
+    minimum = np.full(((nx - 1) // stride + 1, (ny - 1) // stride + 1, (nz - 1) // stride + 1), 65535, np.uint16)
     for i in range(nx):
         for j in range(ny):
-            for shift in range(1, reach + 1):
-                away = np.float32((shift - 0.5) ** 2)
-                if j >= shift:
-                    for k in range(nz):
-                        distance[i, j, k] = min(distance[i, j, k], source[i, j - shift, k] + away)
-                if j + shift < ny:
-                    for k in range(nz):
-                        distance[i, j, k] = min(distance[i, j, k], source[i, j + shift, k] + away)
-    source = distance.copy()
-    for i in range(nx):
-        for shift in range(1, reach + 1):
-            away = np.float32((shift - 0.5) ** 2)
-            for j in range(ny):
-                if i >= shift:
-                    for k in range(nz):
-                        distance[i, j, k] = min(distance[i, j, k], source[i - shift, j, k] + away)
-                if i + shift < nx:
-                    for k in range(nz):
-                        distance[i, j, k] = min(distance[i, j, k], source[i + shift, j, k] + away)
-    return distance
-
-
-def _block_minimum(distances: NDArray[np.float32], stride: int, voxel_m: float) -> NDArray[np.float32]:
-    padding = [(0, -count % stride) for count in distances.shape]
-    blocks = np.pad(distances, padding, constant_values=np.inf)
-    nx, ny, nz = (count // stride for count in blocks.shape)
-    minimum = blocks.reshape(nx, stride, ny, stride, nz, stride).min(axis=(1, 3, 5))
-    return np.asarray(minimum - np.float32(voxel_m * math.sqrt(3) / 2 * (1 + 1e-6)), dtype=np.float32)
+            least = minimum[i // stride, j // stride]
+            for block in range(len(least)):
+                for k in range(block * stride, min((block + 1) * stride, nz)):
+                    least[block] = min(least[block], squared[i, j, k])
+    return minimum

@@ -12,7 +12,8 @@ from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.geometry import Pose, PosePath, Trajectory
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.field import SafetyField
-from deltasafe.planning.scc_rrt_star import PlannerSettings, PlanResult, PlanStatus, plan
+from deltasafe.planning.results import PlanResult, PlanStatus
+from deltasafe.planning.scc_rrt_star import PlannerSettings, plan
 from deltasafe.planning.tracking import TrackingBound
 from deltasafe.planning.velocity import SpeedProfile, VelocitySettings, schedule
 from deltasafe.scene import OccupancyGrid

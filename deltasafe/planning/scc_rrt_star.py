@@ -1,43 +1,40 @@
 """SCC-RRT* (section IV-B): RRT* whose segments are tested for delta-safety, and the verdict on what it found."""
 
 import dataclasses
-import enum
 import itertools
 import math
+import time
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import Pose, PosePath, wrap_to_pi
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.checks import (
     CheckSettings,
+    SegmentTest,
     body_clearance_m,
     is_segment_safe,
     segment_test,
 )
+from deltasafe.planning.connection import is_connected
 from deltasafe.planning.cost import COSTS, area_m2, line_cost, path_cost
 from deltasafe.planning.field import SafetyField
 from deltasafe.planning.refine import refine_path
-from deltasafe.planning.rrt_star import grow_tree
+from deltasafe.planning.results import PlanResult, PlanStatus
+from deltasafe.planning.rrt_star import NEAR_SETS, RrtStar
 from deltasafe.planning.tracking import TrackingBound
 
-__all__ = ["PlanResult", "PlanStatus", "PlannerSettings", "plan"]
+__all__ = ["Planner", "PlannerSettings", "plan"]
 
 Array = NDArray[np.float64]
+FINEST_M = 0.00025
+"""Resolution of the verification; the search's own may be coarser, and then refuses more."""
 
-
-class PlanStatus(enum.StrEnum):
-    """How a search ended."""
-
-    SOLVED = "solved"
-    UNVERIFIED = "path fails the continuous check"
-    BUDGET_SPENT = "budget spent"
-    START_UNSAFE = "start unsafe"
-    GOAL_UNSAFE = "goal unsafe"
-    NO_CONNECTION = "no connection"
+SEARCH_SHARE = 0.8
+"""Of a time limit; the rest is for refinement."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,14 +43,17 @@ class PlannerSettings(CheckSettings):
 
     Attributes:
         delta: a point may be occupied with at most this probability.
-        n_iterations: N_iter, samples drawn by the search.
+        n_iterations: N_iter, samples drawn by the search at most.
+        time_limit_s: of search and refinement together, whichever ends first; 0 is no limit. What was found within a
+            limit depends on the machine: without one, the same seed gives the same path.
         v_min_mps: smallest speed; its tracking error is part of the margin (section IV-A).
         reserve_m: kept beyond that margin, room for blending the corners.
         cost: ``root``, ``squared`` or ``area``.
         rotation_weight_m2: r of the line cost, in m^2/rad^2.
         length_weight_m: share of the root cost in the ``area`` cost.
-        steering_range_m, goal_bias, near_factor, informed: see ``grow_tree``.
-        n_refinements: random local changes tried on the result; 0 leaves the tree's own path.
+        steering_range_m, goal_bias, near_factor, near_set, informed: see ``RrtStar``; a ``near_factor`` of 16 is its
+            quality mode.
+        n_refinements: local changes tried on the result; 0 leaves the tree's own path.
         z_min_above_table_m: lowest centre of the disc.
         z_max_above_field_m: highest centre of the disc, above the upper face of the field.
         yaw_range_rad: yaw stays within this of the start's (or of the goal's, if that is farther).
@@ -61,6 +61,7 @@ class PlannerSettings(CheckSettings):
 
     delta: float = 0.05
     n_iterations: int = 2000
+    time_limit_s: float = 0.0
     v_min_mps: float = 0.01
     reserve_m: float = 0.001
     cost: str = "root"
@@ -69,6 +70,7 @@ class PlannerSettings(CheckSettings):
     steering_range_m: float = 0.1
     goal_bias: float = 0.05
     near_factor: float = 1.1
+    near_set: str = "k"
     informed: bool = True
     n_refinements: int = 400
     z_min_above_table_m: float = 0.02
@@ -84,6 +86,10 @@ class PlannerSettings(CheckSettings):
                 f"n_iterations must be in [1, 1e6] and n_refinements not negative, "
                 f"got {self.n_iterations} and {self.n_refinements}"
             )
+        if not (math.isfinite(self.time_limit_s) and self.time_limit_s >= 0):
+            raise SettingsError(f"time_limit_s must not be negative, got {self.time_limit_s}")
+        if self.near_set not in NEAR_SETS:
+            raise SettingsError(f"near_set must be one of {NEAR_SETS}, got {self.near_set!r}")
         if self.cost not in COSTS:
             raise SettingsError(f"cost must be one of {COSTS}, got {self.cost!r}")
         for name in (
@@ -105,31 +111,183 @@ class PlannerSettings(CheckSettings):
             raise SettingsError(f"yaw_range_rad must be in [0, pi], got {self.yaw_range_rad}")
 
 
-@dataclasses.dataclass(frozen=True)
-class PlanResult:
-    """What the search found, and whether it holds.
+class Planner:
+    """A search in a field that can go on, toward one goal or many, and again when the field has changed.
 
-    Attributes:
-        status: how it ended; only a ``SOLVED`` path has passed the continuous check.
-        path: poses from start to goal, or None. An ``UNVERIFIED`` path is shown, never to be executed.
-        margin_m: distance to the unsafe set that was asked for.
-        clearance_m: of the offending pose if start or goal is unsafe, else the smallest along the path.
-        cost: of the path, by the settings' line cost; ``cost_squared_m2`` and ``area_m2`` beside it.
-        n_iterations, n_nodes, solved_at: samples drawn, nodes of the tree, first iteration with a path (-1: none).
-        message: the outcome in a sentence.
+    Args:
+        start: pose of the tool; goals: one or more. One tree serves all goals.
+        field: where to plan, built for the settings' delta.
+        settings: of search, test and refinement; their budget is that of each ``plan``.
+        seed: of all that is random.
+        body, tracking: of the robot.
+
+    Raises:
+        SettingsError: there is no goal, the field was built for another delta, or the margin is beyond its reach.
     """
 
-    status: PlanStatus
-    path: PosePath | None
-    margin_m: float
-    clearance_m: float
-    cost: float | None
-    cost_squared_m2: float | None
-    area_m2: float | None
-    n_iterations: int
-    n_nodes: int
-    solved_at: int
-    message: str
+    def __init__(
+        self,
+        start: Pose,
+        goals: Sequence[Pose],
+        field: SafetyField,
+        settings: PlannerSettings,
+        seed: int,
+        body: ToolBody | None = None,
+        tracking: TrackingBound | None = None,
+    ) -> None:
+        if not goals:
+            raise SettingsError("a planner needs at least one goal")
+        self.settings, self.seed = settings, seed
+        self._body = body or ToolBody()
+        self._margin_m = float((tracking or TrackingBound()).error_m(settings.v_min_mps)) + settings.reserve_m
+        self._start, self._goals = start.as_array(), np.array([goal.as_array() for goal in goals])
+        self._goals[:, 3] = self._start[3] + wrap_to_pi(self._goals[:, 3] - self._start[3])
+        self._look(field)
+        self._search: RrtStar | None = None
+
+    def plan(self) -> tuple[PlanResult, ...]:
+        """Search for another budget, and refine and verify the path to each goal.
+
+        delta-safety is pointwise (decision 10): it bounds neither the collision probability of the whole body nor of
+        the whole motion. Whatever the search's own test, a path is verified continuously. Failure to find one is an
+        outcome with its reason, not an exception.
+        """
+        ends = [self._unsafe_end("start", self._start, PlanStatus.START_UNSAFE)]
+        if ends[0] is not None:
+            return tuple(ends[0] for _ in self._goals)
+        began_s, limit_s = time.perf_counter(), self.settings.time_limit_s or math.inf
+        search = self._searched(began_s + SEARCH_SHARE * limit_s)
+        tree = search.tree
+        counts = tree.n_iterations, len(tree.nodes), tree.solved_at
+        results = []
+        for number, goal in enumerate(self._goals):
+            unsafe = self._unsafe_end("goal", goal, PlanStatus.GOAL_UNSAFE)
+            if unsafe is not None:
+                results.append(unsafe)
+                continue
+            poses = tree.path(number)
+            if poses is None:
+                results.append(self._without_path(goal, *counts))
+                continue
+            share = (number + 1) / len(self._goals)
+            deadline_s = began_s + (SEARCH_SHARE + (1 - SEARCH_SHARE) * share) * limit_s
+            poses = refine_path(
+                self._test, search.cost, poses, *self._bounds, self.settings.n_refinements, self.seed, deadline_s
+            )
+            results.append(self._verdict(poses, *counts))
+        return tuple(results)
+
+    def replan(self, field: SafetyField) -> tuple[PlanResult, ...]:
+        """Plan again in a changed field. Edges that are still safe stay in the tree, with their costs.
+
+        Raises:
+            SettingsError: the field was built for another delta.
+        """
+        self._look(field)
+        if self._search is not None:
+            self._search.recheck(self._test)
+        return self.plan()
+
+    def _look(self, field: SafetyField) -> None:
+        settings = self.settings
+        if field.delta != settings.delta:
+            raise SettingsError(f"the field was built for delta {field.delta}, the settings ask {settings.delta}")
+        checks = CheckSettings(**{f.name: getattr(settings, f.name) for f in dataclasses.fields(CheckSettings)})
+        continuous = dataclasses.replace(checks, method="continuous", resolution_m=FINEST_M)
+        self._field = field
+        self._verifier = segment_test(field, self._body, self._margin_m, continuous, self.seed)
+        self._test = segment_test(field, self._body, self._margin_m, checks, self.seed)
+
+    def _searched(self, deadline_s: float) -> RrtStar:
+        settings = self.settings
+        if self._search is None:
+            self._bounds = _bounds(self._field, settings, self._start, self._goals)
+            self._search = RrtStar(
+                self._test,
+                line_cost(
+                    settings.cost,
+                    settings.rotation_weight_m2,
+                    self._field.arrays.floor_z_m,
+                    settings.length_weight_m,
+                ),
+                self._start,
+                self._goals,
+                *self._bounds,
+                self.seed,
+                settings.steering_range_m,
+                settings.goal_bias,
+                settings.near_factor,
+                settings.near_set,
+                settings.informed,
+            )
+        self._search.grow(settings.n_iterations, deadline_s)
+        return self._search
+
+    def _unsafe_end(self, name: str, pose: Array, status: PlanStatus) -> PlanResult | None:
+        clearance_m = float(body_clearance_m(self._verifier, pose[None])[0])
+        if clearance_m >= self._margin_m + self.settings.resolution_m:
+            return None
+        return self._failure(
+            status,
+            f"the {name} {np.round(pose, 4).tolist()} has a clearance of {1000 * clearance_m:.1f} mm, "
+            f"{1000 * self._margin_m:.1f} mm are needed: move it away from what may be occupied",
+            clearance_m,
+        )
+
+    def _without_path(self, goal: Array, n_iterations: int, n_nodes: int, solved_at: int) -> PlanResult:
+        if not is_connected(self._field, self._body, self._margin_m, *self._bounds, self._start, goal):
+            return self._failure(
+                PlanStatus.NO_CONNECTION,
+                "start and goal lie in parts of the free space that nothing as thick as the tool connects",
+                math.nan,
+                n_iterations,
+                n_nodes,
+                solved_at,
+            )
+        limit_s = self.settings.time_limit_s
+        ended = f" or {limit_s} s" if limit_s else ""
+        return self._failure(
+            PlanStatus.BUDGET_SPENT,
+            f"no path in {n_iterations} iterations{ended} ({n_nodes} nodes): raise n_iterations"
+            + (" and time_limit_s" if limit_s else ""),
+            math.nan,
+            n_iterations,
+            n_nodes,
+            solved_at,
+        )
+
+    def _failure(
+        self,
+        status: PlanStatus,
+        message: str,
+        clearance_m: float,
+        n_iterations: int = 0,
+        n_nodes: int = 0,
+        solved_at: int = -1,
+    ) -> PlanResult:
+        return PlanResult(
+            status, None, self._margin_m, clearance_m, None, None, None, n_iterations, n_nodes, solved_at, message
+        )
+
+    def _verdict(self, poses: Array, n_iterations: int, n_nodes: int, solved_at: int) -> PlanResult:
+        search, settings = self._search, self.settings
+        assert search is not None
+        refused = sum(not is_segment_safe(self._verifier, a, b) for a, b in itertools.pairwise(poses))
+        return PlanResult(
+            PlanStatus.UNVERIFIED if refused else PlanStatus.SOLVED,
+            PosePath(poses),
+            self._margin_m,
+            _least_clearance_m(self._verifier, poses, self._body.rho_max_m),
+            path_cost(search.cost, poses),
+            path_cost(line_cost("squared", settings.rotation_weight_m2), poses),
+            area_m2(poses, self._field.arrays.floor_z_m),
+            n_iterations,
+            n_nodes,
+            solved_at,
+            f"{refused} of {len(poses) - 1} segments fail the continuous check: use method continuous"
+            if refused
+            else f"{len(poses)} poses, first found in iteration {solved_at + 1}",
+        )
 
 
 def plan(
@@ -141,146 +299,27 @@ def plan(
     body: ToolBody | None = None,
     tracking: TrackingBound | None = None,
 ) -> PlanResult:
-    """Search a delta-safe path. Whatever the search's own test, the path it returns is verified continuously.
-
-    delta-safety is pointwise (decision 10): it bounds neither the collision probability of the whole body nor of
-    the whole motion. Failure to find a path is an outcome with its reason, not an exception.
+    """The one result of a ``Planner`` with one goal.
 
     Raises:
         SettingsError: the field was built for another delta, or the margin is beyond the field's reach.
     """
-    body, tracking = body or ToolBody(), tracking or TrackingBound()
-    if field.delta != settings.delta:
-        raise SettingsError(f"the field was built for delta {field.delta}, the settings ask {settings.delta}")
-    margin_m = float(tracking.error_m(settings.v_min_mps)) + settings.reserve_m
-    verifier = segment_test(field, body, margin_m, dataclasses.replace(_checks(settings), method="continuous"), seed)
-    ends = start.as_array(), goal.as_array()
-    ends[1][3] = ends[0][3] + float(wrap_to_pi(ends[1][3] - ends[0][3]))
-    for name, pose, status in zip(
-        ("start", "goal"), ends, (PlanStatus.START_UNSAFE, PlanStatus.GOAL_UNSAFE), strict=True
-    ):
-        clearance_m = float(body_clearance_m(verifier, pose[None])[0])
-        if clearance_m < margin_m + settings.resolution_m:
-            return _failure(
-                status,
-                margin_m,
-                clearance_m,
-                f"the {name} {np.round(pose, 4).tolist()} has a clearance of {1000 * clearance_m:.1f} mm, "
-                f"{1000 * margin_m:.1f} mm are needed: move it away from what may be occupied",
-            )
-    lower, upper = _bounds(field, settings, *ends)
-    cost = line_cost(settings.cost, settings.rotation_weight_m2, field.arrays.floor_z_m, settings.length_weight_m)
-    test = segment_test(field, body, margin_m, _checks(settings), seed)
-    tree = grow_tree(
-        test,
-        cost,
-        *ends,
-        lower,
-        upper,
-        settings.n_iterations,
-        seed,
-        settings.steering_range_m,
-        settings.goal_bias,
-        settings.near_factor,
-        settings.informed,
-    )
-    poses = tree.path()
-    counts = (settings.n_iterations, len(tree.nodes), tree.solved_at)
-    if poses is None:
-        if not _is_connected(field, body, margin_m, lower, upper, *ends):
-            return _failure(
-                PlanStatus.NO_CONNECTION,
-                margin_m,
-                math.nan,
-                "start and goal lie in parts of the free space that nothing as thick as the tool connects",
-                *counts,
-            )
-        return _failure(
-            PlanStatus.BUDGET_SPENT,
-            margin_m,
-            math.nan,
-            f"no path in {settings.n_iterations} iterations ({len(tree.nodes)} nodes): raise n_iterations",
-            *counts,
-        )
-    poses = refine_path(test, cost, poses, lower, upper, settings.n_refinements, seed)
-    safe = [is_segment_safe(verifier, a, b) for a, b in itertools.pairwise(poses)]
-    clearance_m = float(body_clearance_m(verifier, _dense(poses, 0.001, body.rho_max_m)).min())
-    squared = line_cost("squared", settings.rotation_weight_m2)
-    return PlanResult(
-        PlanStatus.SOLVED if all(safe) else PlanStatus.UNVERIFIED,
-        PosePath(poses),
-        margin_m,
-        clearance_m,
-        path_cost(cost, poses),
-        path_cost(squared, poses),
-        area_m2(poses, field.arrays.floor_z_m),
-        *counts,
-        f"{len(poses)} poses, first found in iteration {tree.solved_at + 1}"
-        if all(safe)
-        else f"{len(safe) - sum(safe)} of {len(safe)} segments fail the continuous check: use method continuous",
-    )
+    return Planner(start, [goal], field, settings, seed, body, tracking).plan()[0]
 
 
-def _checks(settings: PlannerSettings) -> CheckSettings:
-    return CheckSettings(**{f.name: getattr(settings, f.name) for f in dataclasses.fields(CheckSettings)})
-
-
-def _failure(
-    status: PlanStatus,
-    margin_m: float,
-    clearance_m: float,
-    message: str,
-    n_iterations: int = 0,
-    n_nodes: int = 0,
-    solved_at: int = -1,
-) -> PlanResult:
-    return PlanResult(status, None, margin_m, clearance_m, None, None, None, n_iterations, n_nodes, solved_at, message)
-
-
-def _bounds(field: SafetyField, settings: PlannerSettings, start: Array, goal: Array) -> tuple[Array, Array]:
+def _bounds(field: SafetyField, settings: PlannerSettings, start: Array, goals: Array) -> tuple[Array, Array]:
     turn = settings.yaw_range_rad
     low_z, high_z = field.arrays.floor_z_m + settings.z_min_above_table_m, field.top_z_m
     lower = np.array([*field.grid.origin_m[:2], low_z, start[3] - turn])
     upper = np.array([*field.grid.upper_m[:2], high_z + settings.z_max_above_field_m, start[3] + turn])
-    return np.minimum(lower, np.minimum(start, goal)), np.maximum(upper, np.maximum(start, goal))
+    ends = np.vstack([start[None], goals])
+    return np.minimum(lower, ends.min(axis=0)), np.maximum(upper, ends.max(axis=0))
 
 
-def _is_connected(
-    field: SafetyField,
-    body: ToolBody,
-    margin_m: float,
-    lower: Array,
-    upper: Array,
-    start: Array,
-    goal: Array,
-) -> bool:
-    """A necessary condition: a chain of voxels where a ball inside the disc and the shaft could pass.
-
-    Optimistic by half a voxel diagonal, so that False proves that no path exists within the bounds.
-    """
-    arrays = field.arrays
-    voxel_m = arrays.lattice.voxel_m
-    slack_m = voxel_m * math.sqrt(3) / 2 * (1 + 1e-6)
-    inscribed_m = min(body.semi_axis_x_m, body.semi_axis_y_m, body.thickness_m / 2)
-    passable = (arrays.ball + slack_m >= inscribed_m + margin_m) & (
-        arrays.ray + slack_m >= body.shaft_radius_m + margin_m
-    )
-    shape = np.array(passable.shape)
-    origin_m = np.array(arrays.lattice[:3])
-    first, last = ((value[:3] - origin_m) // voxel_m for value in (lower, upper))
-    if last[2] >= shape[2]:
-        return True  # the bounds leave the stored box, where all is free
-    passable[:, :, : max(int(first[2]), 0)] = False
-    passable[:, :, int(last[2]) + 1 :] = False
-    labels, _ = ndimage.label(passable, structure=np.ones((3, 3, 3)))
-    cells = [tuple(np.clip((pose[:3] - origin_m) // voxel_m, 0, shape - 1).astype(int)) for pose in (start, goal)]
-    return bool(labels[cells[0]] != 0 and labels[cells[0]] == labels[cells[1]])
-
-
-def _dense(poses: Array, spacing_m: float, rho_max_m: float) -> Array:
-    """The polyline with poses at most ``spacing_m`` apart."""
+def _least_clearance_m(test: SegmentTest, poses: Array, rho_max_m: float, spacing_m: float = 0.001) -> float:
+    """Smallest clearance of the polyline's poses at most ``spacing_m`` apart."""
     pieces = [poses[:1]]
     for a, b in itertools.pairwise(poses):
         count = max(1, math.ceil(float(np.linalg.norm((b - a)[:3]) + rho_max_m * abs(b[3] - a[3])) / spacing_m))
         pieces.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
-    return np.concatenate(pieces)
+    return float(body_clearance_m(test, np.concatenate(pieces)).min())

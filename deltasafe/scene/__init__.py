@@ -2,6 +2,7 @@
 
 from deltasafe.scene.camera import Camera
 from deltasafe.scene.extrusion import FieldSettings, grid_from_image
+from deltasafe.scene.fusion import fuse_grids
 from deltasafe.scene.logs import LoggedScene, load_scenes
 from deltasafe.scene.occupancy import OccupancyGrid
 from deltasafe.scene.shapes import Cuboid, Shape, Sphere, grid_from_shapes, p_occupied_near
@@ -14,6 +15,7 @@ __all__ = [
     "OccupancyGrid",
     "Shape",
     "Sphere",
+    "fuse_grids",
     "grid_from_image",
     "grid_from_shapes",
     "load_scenes",

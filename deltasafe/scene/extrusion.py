@@ -13,6 +13,9 @@ from deltasafe.scene.occupancy import OccupancyGrid
 
 __all__ = ["FieldSettings", "grid_from_image"]
 
+LEVELS = 5
+"""Running maxima of 1, 2, 4, 8 and 16 pixels."""
+
 
 @dataclasses.dataclass(frozen=True)
 class FieldSettings:
@@ -74,34 +77,83 @@ def grid_from_image(
     seen = camera.pixel_to_plane(corners.astype(np.float64), table_z_m)[:, :2]
     origin_m = np.append(np.floor(seen.min(axis=0) / settings.voxel_m) * settings.voxel_m, table_z_m)
     columns = np.ceil((seen.max(axis=0) - origin_m[:2]) / settings.voxel_m).astype(int)
-    lattice = [origin_m[i] + settings.voxel_m * np.arange(n + 1) for i, n in enumerate((*columns, layers))]
-    points_m = np.stack(np.meshgrid(*lattice, indexing="ij"), axis=-1)
-    uv, _ = camera.project(points_m.reshape(-1, 3))
-    p_occupied = _largest_in_footprint(image, uv.reshape(*points_m.shape[:3], 2))
+    nx, ny = (int(count) for count in columns)
+    seen_as = _pinhole(camera)
+    p_occupied = _largest_in_footprints(_running_maxima(image), seen_as, origin_m, settings.voxel_m, nx, ny, layers)
     return OccupancyGrid(p_occupied, origin_m, settings.voxel_m)
 
 
+def _pinhole(camera: Camera) -> NDArray[np.float64]:
+    """(3, 4): world point (x, y, z, 1) to (u w, v w, w) with the depth w."""
+    intrinsic = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+    world_to_camera = camera.world_from_camera_rotation.T
+    return np.ascontiguousarray(
+        intrinsic @ np.column_stack([world_to_camera, -world_to_camera @ camera.position_m]), dtype=np.float64
+    )
+
+
 @compiled
-def _largest_in_footprint(image, uv):  # type: ignore[no-untyped-def]
-    """(nx, ny, nz) maxima of the image (H, W) over the boxes around the projected corners (nx+1, ny+1, nz+1, 2)."""
-    nx, ny, nz = uv.shape[0] - 1, uv.shape[1] - 1, uv.shape[2] - 1
+def _running_maxima(image):  # type: ignore[no-untyped-def]
+    """(LEVELS, H, W): largest of 2^level pixels of a row, from each one on (fewer at its end)."""
     height, width = image.shape
+    maxima = np.empty((LEVELS, height, width), np.float32)
+    maxima[0] = image
+    for level in range(1, LEVELS):
+        half = 1 << (level - 1)
+        for row in range(height):
+            for column in range(width):
+                other = min(column + half, width - 1)
+                maxima[level, row, column] = max(maxima[level - 1, row, column], maxima[level - 1, row, other])
+    return maxima
+
+
+@compiled
+def _project_plane(seen_as, x, origin_m, voxel_m, uv):  # type: ignore[no-untyped-def]
+    """Pixel coordinates (ny+1, nz+1, 2) of the lattice points of one plane; behind the camera far outside."""
+    for j in range(uv.shape[0]):
+        y = origin_m[1] + voxel_m * j
+        for k in range(uv.shape[1]):
+            z = origin_m[2] + voxel_m * k
+            depth = seen_as[2, 0] * x + seen_as[2, 1] * y + seen_as[2, 2] * z + seen_as[2, 3]
+            if depth > 0.0:
+                uv[j, k, 0] = (seen_as[0, 0] * x + seen_as[0, 1] * y + seen_as[0, 2] * z + seen_as[0, 3]) / depth
+                uv[j, k, 1] = (seen_as[1, 0] * x + seen_as[1, 1] * y + seen_as[1, 2] * z + seen_as[1, 3]) / depth
+            else:
+                uv[j, k] = -1e9
+
+
+@compiled
+def _largest_in_footprints(maxima, seen_as, origin_m, voxel_m, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """(nx, ny, nz) maxima of the image over the boxes around the projected corners of each voxel; 1 if not all seen."""
+    height, width = maxima.shape[1:]
     largest = np.ones((nx, ny, nz), np.float32)
+    near, far = np.empty((ny + 1, nz + 1, 2)), np.empty((ny + 1, nz + 1, 2))
+    _project_plane(seen_as, origin_m[0], origin_m, voxel_m, far)
     for i in range(nx):
+        near, far = far, near
+        _project_plane(seen_as, origin_m[0] + voxel_m * (i + 1), origin_m, voxel_m, far)
         for j in range(ny):
             for k in range(nz):
                 u_low, u_high, v_low, v_high = np.inf, -np.inf, np.inf, -np.inf
-                seen = True
-                for corner in range(8):
-                    u, v = uv[i + (corner & 1), j + (corner >> 1 & 1), k + (corner >> 2)]
-                    seen &= 0.0 <= u <= width and 0.0 <= v <= height
-                    u_low, u_high = min(u_low, u), max(u_high, u)
-                    v_low, v_high = min(v_low, v), max(v_high, v)
-                if not seen:
+                for dj in range(2):
+                    for dk in range(2):
+                        a, b = near[j + dj, k + dk, 0], far[j + dj, k + dk, 0]
+                        u_low, u_high = min(u_low, a, b), max(u_high, a, b)
+                        a, b = near[j + dj, k + dk, 1], far[j + dj, k + dk, 1]
+                        v_low, v_high = min(v_low, a, b), max(v_high, a, b)
+                if u_low < 0.0 or v_low < 0.0 or u_high > width or v_high > height:
                     continue
+                first, last = int(u_low), min(int(u_high), width - 1)
+                level = 0
+                while level < LEVELS - 1 and 1 << (level + 1) <= last - first + 1:
+                    level += 1
+                step = 1 << level
                 value = np.float32(0.0)
-                for row in range(int(v_low), min(int(v_high) + 1, height)):
-                    for column in range(int(u_low), min(int(u_high) + 1, width)):
-                        value = max(value, image[row, column])
+                for row in range(int(v_low), min(int(v_high), height - 1) + 1):
+                    column = first
+                    while column + step <= last:
+                        value = max(value, maxima[level, row, column])
+                        column += step
+                    value = max(value, maxima[level, row, max(last - step + 1, first)])
                 largest[i, j, k] = value
     return largest

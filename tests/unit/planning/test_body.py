@@ -58,6 +58,29 @@ def test_the_cover_contains_the_disc_and_is_tight(body: ToolBody) -> None:
     assert body.distance_m(surface.reshape(-1, 3)).max() < 0.0025
 
 
+@pytest.mark.parametrize("body", BODIES)
+def test_a_few_balls_contain_the_disc_and_are_tight_in_its_plane(body: ToolBody) -> None:
+    balls = body.disc_balls
+    angle = np.linspace(0, 2 * np.pi, 2001)
+    rim = np.column_stack([body.semi_axis_x_m * np.cos(angle), body.semi_axis_y_m * np.sin(angle)])
+    disc = np.concatenate([rim * share for share in np.linspace(0, 1, 41)])
+    points = np.column_stack([disc, np.full(len(disc), body.thickness_m / 2)])
+    assert (np.linalg.norm(points[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1).max() <= 1e-12
+    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+    edges = (balls[:, None, :3] + balls[:, None, 3:] * circle).reshape(-1, 3)
+    assert body.distance_m(edges).max() < 0.0025
+    assert len(balls) <= 25
+
+
+def test_a_disc_alone_has_no_shaft() -> None:
+    disc = ToolBody(0.04, 0.02, 0.002, shaft_length_m=0.0)
+    assert disc.distance_m(np.array([[0.0, 0.0, 0.1]]))[0] == pytest.approx(0.099)
+    samples = disc.samples(0.003, 5000, 0)
+    assert np.abs(samples[:, 2]).max() <= 0.004
+    with pytest.raises(SettingsError, match="shaft_length_m"):
+        ToolBody(shaft_length_m=-0.1)
+
+
 @pytest.mark.parametrize("margin_m", [0.0, 0.0055])
 def test_samples_are_uniform_on_the_true_enlargement(margin_m: float) -> None:
     """Shares of sub-boxes against an independent count of lattice points."""

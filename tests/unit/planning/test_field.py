@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from deltasafe.errors import SettingsError
 from deltasafe.planning import SafetyField
-from deltasafe.planning.field import REACH_M, squared_distance_to_voxels
+from deltasafe.planning.distances import squared_distance_to_voxels
+from deltasafe.planning.field import REACH_M
 from deltasafe.scene import OccupancyGrid
 
 
@@ -26,7 +27,7 @@ def test_distance_transform_against_brute_force(seed: int, reach: int, share: fl
     expected = np.full(len(centres), float(reach**2))
     if len(cells):
         expected = np.minimum(box_distance(centres, cells, cells + 1) ** 2, reach**2)
-    np.testing.assert_allclose(squared.ravel(), expected, rtol=1e-6)
+    np.testing.assert_array_equal(squared.ravel(), np.rint(4 * expected))
 
 
 def truth(grid: OccupancyGrid, delta: float, points: np.ndarray) -> np.ndarray:
@@ -67,10 +68,20 @@ def test_the_ray_array_bounds_all_that_is_above() -> None:
 def test_the_coarse_grid_bounds_the_fine_one() -> None:
     rng = np.random.default_rng(6)
     grid = OccupancyGrid((rng.random((21, 17, 10)) < 0.01).astype(np.float32), np.zeros(3), 0.0025)
-    arrays = SafetyField.build(grid, 0.5).arrays
-    index = np.argwhere(arrays.ball >= 0)
-    coarse = arrays.coarse_ball[tuple((index // arrays.lattice.stride).T)]
-    assert (coarse <= arrays.ball[tuple(index.T)] - 0.0025 * np.sqrt(3) / 2 + 1e-7).all()
+    field = SafetyField.build(grid, 0.5)
+    arrays = field.arrays
+    index = np.argwhere(arrays.ball > 0)
+    for bound_m, squared in zip(field.coarse_clearance_m, (arrays.ball, arrays.ray), strict=True):
+        there = bound_m[tuple((index // arrays.lattice.stride).T)]
+        exact_m = np.sqrt(squared[tuple(index.T)]) * 0.00125
+        capped = squared == squared.max()
+        assert (there <= np.where(capped[tuple(index.T)], np.inf, exact_m - 0.0025 * np.sqrt(3) / 2 + 1e-7)).all()
+        # beyond the reach of the voxels: no more than the true distance of a point to the farthest unsafe voxel
+        cells = np.argwhere(arrays.ball == 0)
+        for far in index[capped[tuple(index.T)]][:40]:
+            gap = np.maximum(np.abs(cells - far) - 0.5, 0)
+            if squared is arrays.ball:
+                assert bound_m[tuple(far // arrays.lattice.stride)] <= np.sqrt((gap**2).sum(axis=1).min()) * 0.0025
     assert arrays.lattice.stride == 4
 
 
@@ -79,9 +90,11 @@ def test_the_coarse_grid_bounds_the_fine_one() -> None:
 def test_a_smaller_delta_never_gives_more_room(seed: int, one: float, other: float) -> None:
     rng = np.random.default_rng(seed)
     grid = OccupancyGrid((rng.random((8, 8, 6)) ** 4).astype(np.float32), np.zeros(3), 0.01)
-    low, high = (SafetyField.build(grid, delta).arrays for delta in sorted((one, other)))
-    for name in ("ball", "ray", "coarse_ball", "coarse_ray"):
-        assert (getattr(low, name) <= getattr(high, name)).all()
+    low, high = (SafetyField.build(grid, delta) for delta in sorted((one, other)))
+    for name in ("ball", "ray"):
+        assert (getattr(low.arrays, name) <= getattr(high.arrays, name)).all()
+    for less, more in zip(low.coarse_clearance_m, high.coarse_clearance_m, strict=True):
+        assert (less <= more).all()
 
 
 @pytest.mark.parametrize("delta", [0.0, 1.0, float("nan")])

@@ -1,34 +1,15 @@
 import itertools
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
+from walls import Wall, passes
 
-from deltasafe.compiling import compiled
-from deltasafe.planning import answers_segments, grow_tree, line_cost, path_cost, refine_path, segment_is_safe
+from deltasafe.planning import grow_tree, line_cost, path_cost, refine_path, segment_is_safe
 from deltasafe.planning.cost import segment_cost
 
 START, GOAL = np.array([-0.15, 0.0, 0.03, 0.0]), np.array([0.15, 0.02, 0.03, 0.3])
 LOWER, UPPER = np.array([-0.2, -0.15, 0.02, -1.6]), np.array([0.2, 0.15, 0.15, 1.6])
-
-
-class Wall(NamedTuple):
-    """Forbids the slab |x| < half below ``height``; with height inf only a gap in y is open."""
-
-    half: float
-    height: float
-    gap_y: float
-
-
-@answers_segments(Wall)
-@compiled
-def _passes(wall, start, end):  # type: ignore[no-untyped-def]
-    for step in range(201):
-        t = step / 200.0
-        x, y, z = (1 - t) * start[0] + t * end[0], (1 - t) * start[1] + t * end[1], (1 - t) * start[2] + t * end[2]
-        if abs(x) < wall.half and z < wall.height and y < wall.gap_y:
-            return False
-    return True
 
 
 OPEN, OVER, CLOSED = Wall(0.0, 0.0, 0.0), Wall(0.02, 0.09, 1.0), Wall(0.02, 9.0, 9.0)
@@ -50,7 +31,7 @@ def test_the_tree_is_a_tree_and_its_costs_add_up(cost: Any, informed: bool) -> N
         assert parent not in (-1, 1)  # the goal has no children
         step = segment_cost(cost, tree.nodes[parent], tree.nodes[node])
         assert tree.cost[node] == pytest.approx(tree.cost[parent] + step, rel=1e-9)
-        assert _passes(OVER, tree.nodes[parent], tree.nodes[node])
+        assert passes(OVER, tree.nodes[parent], tree.nodes[node])
         seen = set()
         while node > 0:
             assert node not in seen
@@ -83,7 +64,7 @@ def test_more_iterations_come_closer_to_the_known_optimum() -> None:
     tree = grown(seed=1)
     refined = refine_path(OVER, COSTS[0], tree.path(), LOWER, UPPER, 800, 0)
     assert path_cost(COSTS[0], refined) < 1.03 * best
-    assert all(_passes(OVER, a, b) for a, b in itertools.pairwise(refined))
+    assert all(passes(OVER, a, b) for a, b in itertools.pairwise(refined))
     assert (refined[0] == START).all()
     assert (refined[-1] == GOAL).all()
 

@@ -1,0 +1,169 @@
+"""The k nearest nodes: one pass over all and a few counts that close in on a radius; a tree of buckets later."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.compiling import kernel
+from deltasafe.planning.buckets import BucketTree, collect, empty_buckets, insert, nearest_in
+
+__all__ = ["MANY", "Neighbours", "add_point", "empty_neighbours", "k_nearest", "nearest", "within"]
+
+MANY = 3000
+"""Beyond this many nodes the bucket tree is faster than looking at all."""
+
+
+class Neighbours(NamedTuple):
+    """Points in scaled coordinates (4, n), and what a query needs room for.
+
+    ``squared`` distances and the same memory as integers, ``bits``; the candidates ``found`` with their ``gap``; a
+    byte for each point, ``flags``, and the same memory in words of eight. ``reach``: squared radius of the near set
+    that a point had when it came, for the number of points there are now: a guess for its neighbours.
+    """
+
+    points: NDArray[np.float32]
+    squared: NDArray[np.float32]
+    bits: NDArray[np.int32]
+    reach: NDArray[np.float32]
+    found: NDArray[np.int32]
+    gap: NDArray[np.float32]
+    flags: NDArray[np.uint8]
+    words: NDArray[np.uint64]
+    buckets: BucketTree
+    many: int
+
+
+def empty_neighbours(capacity: int, many: int = MANY) -> Neighbours:
+    """Room for ``capacity`` points; beyond ``many`` the bucket tree is used. Both give the same neighbours."""
+    squared, flags = np.empty(capacity + 8, np.float32), np.empty(8 * (capacity // 8 + 2), np.uint8)
+    return Neighbours(
+        np.empty((4, capacity), np.float32),
+        squared,
+        squared.view(np.int32),
+        np.empty(capacity, np.float32),
+        np.empty(capacity + 1, np.int32),
+        np.empty(capacity + 1, np.float32),
+        flags,
+        flags.view(np.uint64),
+        empty_buckets(capacity if capacity > many else 1),
+        many,
+    )
+
+
+@kernel
+def add_point(known, count, point):  # type: ignore[no-untyped-def]
+    """Point number ``count``, a tuple of four."""
+    for axis in range(4):
+        known.points[axis, count] = point[axis]
+    if count == known.many:  # from now on in buckets, those before included
+        for n in range(count):
+            insert(known.buckets, n, (known.points[0, n], known.points[1, n], known.points[2, n], known.points[3, n]))
+    if count >= known.many:
+        x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
+        insert(known.buckets, count, x)
+
+
+@kernel
+def nearest(known, count, point):  # type: ignore[no-untyped-def]
+    """Index of the nearest of the first ``count`` points, and the squared distance."""
+    x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
+    if count > known.many:
+        return nearest_in(known.buckets, x)
+    _measure(known, count, x)
+    # the bits of floats that are not negative are ordered as they are, and vector units find the least integer
+    bits, least = known.bits, np.int32(0x7F800000)
+    for n in range(count):
+        least = min(least, bits[n])
+    place = 0
+    while place + 64 <= count:
+        some = np.int32(0)
+        for n in range(place, place + 64):
+            some += np.int32(bits[n] == least)
+        if some:
+            break
+        place += 64
+    while bits[place] != least:
+        place += 1
+    return place, known.squared[place]
+
+
+@kernel
+def k_nearest(known, count, point, k, guess, measured):  # type: ignore[no-untyped-def]
+    """At least the k nearest of the first ``count`` points, in ``known.found``; their number and the squared radius.
+
+    All points within a radius, which is looked for until it holds no more than an eighth too many. ``guess`` is a
+    squared radius to begin with. ``measured`` says that ``nearest`` was asked for the same point before.
+    """
+    if count <= k:
+        for n in range(count):
+            known.found[n] = n
+        return count, guess
+    x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
+    if count <= known.many and not measured:
+        _measure(known, count, x)
+    wide = np.float32(guess)
+    while True:
+        m = _candidates(known, count, x, wide)
+        if m >= k:
+            break
+        wide *= np.float32(min(max(1.2 * math.sqrt(k / max(m, 1)), 1.1), 4.0))
+    low, high, inside, most = np.float32(0.0), wide, m, k + k // 8
+    while inside > most:
+        middle = np.float32(0.5) * (low + high)
+        if low == 0.0:  # in four dimensions the count grows with the fourth power of the radius
+            middle = high * np.float32(math.sqrt(0.5 * (k + most) / inside))
+        if not low < middle < high:
+            break
+        some = np.int32(0)
+        for n in range(m):
+            some += np.int32(known.gap[n] <= middle)
+        if some >= k:
+            high, inside = middle, some
+        else:
+            low = middle
+    kept = 0
+    for n in range(m):
+        known.found[kept] = known.found[n]
+        kept += known.gap[n] <= high
+    return kept, high
+
+
+@kernel
+def within(known, count, point, squared_radius):  # type: ignore[no-untyped-def]
+    """The points within a radius, in ``known.found``; returns how many."""
+    x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
+    if count <= known.many:
+        _measure(known, count, x)
+    return _candidates(known, count, x, np.float32(squared_radius))
+
+
+@kernel
+def _candidates(known, count, x, wide):  # type: ignore[no-untyped-def]
+    if count > known.many:
+        return collect(known.buckets, x, wide, known.found, known.gap)
+    found, gap, squared, flags = known.found, known.gap, known.squared, known.flags
+    for n in range(count):
+        flags[n] = squared[n] <= wide
+    flags[count : count + 8] = 0
+    words = known.words
+    m = 0
+    for word in range((count + 7) // 8):
+        bytes_set = words[word]
+        while bytes_set:
+            lowest = bytes_set & (~bytes_set + np.uint64(1))
+            n = 8 * word + np.int64((lowest * np.uint64(0x0001020304050607)) >> np.uint64(56))
+            found[m], gap[m] = n, squared[n]
+            m += 1
+            bytes_set ^= lowest
+    return m
+
+
+@kernel
+def _measure(known, count, x):  # type: ignore[no-untyped-def]
+    x0, x1, x2, x3 = x
+    points, squared = known.points, known.squared
+    for n in range(count):
+        d0, d1, d2, d3 = points[0, n] - x0, points[1, n] - x1, points[2, n] - x2, points[3, n] - x3
+        squared[n] = d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3

@@ -1,0 +1,87 @@
+"""The paper's scenario test of a pose: N_x points drawn uniformly from the enlarged body (section IV-A)."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.compiling import kernel
+from deltasafe.planning.body import ToolBody
+from deltasafe.planning.field import SafetyField
+
+__all__ = ["SamplePool", "sample_pool", "samples_are_free"]
+
+POOL_SIZE = 16384
+BLOCK = 16
+
+
+class SamplePool(NamedTuple):
+    """Uniform points of the enlarged body, drawn once; a pose takes ``n_samples`` in a row from a place of its own.
+
+    Attributes:
+        points: (3, POOL_SIZE + n_samples) float32 in voxels, in the body's frame.
+        unsafe: (nx * ny * ceil(nz / 8),) uint8, the unsafe voxels as bits.
+        n_samples: N_x.
+        redraw: another place for each pose, or the first for all.
+        floor: height of the table in voxels above the lattice's lower face.
+    """
+
+    points: NDArray[np.float32]
+    unsafe: NDArray[np.uint8]
+    n_samples: int
+    redraw: bool
+    floor: float
+
+
+def sample_pool(
+    field: SafetyField, body: ToolBody, margin_m: float, n_samples: int, redraw: bool, seed: int
+) -> SamplePool:
+    """Pool of points of R_0 + B(margin); an empty one for ``n_samples`` 0."""
+    lattice = field.arrays.lattice
+    if n_samples == 0:
+        return SamplePool(np.empty((3, 0), np.float32), np.empty(0, np.uint8), 0, redraw, 0.0)
+    padded = -(-n_samples // BLOCK) * BLOCK
+    points = body.samples(margin_m, POOL_SIZE if redraw else padded, seed) * lattice.per_m
+    points = np.concatenate([points, points[:padded]]).T
+    floor = (field.arrays.floor_z_m - lattice.lower_z_m) * lattice.per_m
+    return SamplePool(
+        np.ascontiguousarray(points, np.float32), field.unsafe_bits.ravel(), int(n_samples), redraw, floor
+    )
+
+
+@kernel
+def samples_are_free(lattice, pool, x, y, z, yaw, bits):  # type: ignore[no-untyped-def]
+    """Whether none of N_x points of the body at a pose is unsafe. ``bits`` alone decide which points are drawn.
+
+    The body is symmetric in both axes of its disc: two of the bits turn and mirror the pool for nothing.
+    """
+    first = 0
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    along_x, along_y = 1.0, 1.0
+    if pool.redraw:
+        first = np.int64(bits & np.uint64(POOL_SIZE - 1))
+        along_x = 1.0 if bits & np.uint64(1 << 40) else -1.0
+        along_y = 1.0 if bits & np.uint64(1 << 41) else -1.0
+    a, b = np.float32(cos * along_x), np.float32(sin * along_y)
+    c, d = np.float32(sin * along_x), np.float32(cos * along_y)
+    u0 = np.float32((x - lattice.lower_x_m) * lattice.per_m)
+    v0 = np.float32((y - lattice.lower_y_m) * lattice.per_m)
+    w0 = np.float32((z - lattice.lower_z_m) * lattice.per_m)
+    last_u, last_v, last_w = np.float32(lattice.nx - 1), np.float32(lattice.ny - 1), np.float32(lattice.nz - 1)
+    floor = np.float32(pool.floor)
+    zero = np.float32(0.0)
+    rows, columns = np.int32(lattice.ny), np.int32((lattice.nz + 7) // 8)
+    for begin in range(0, pool.n_samples, BLOCK):
+        end = min(begin + BLOCK, pool.n_samples)
+        bad = 0
+        for n in range(first + begin, first + end):
+            u, v, w = pool.points[0, n], pool.points[1, n], pool.points[2, n] + w0
+            i = np.int32(min(max(u0 + a * u - b * v, zero), last_u))
+            j = np.int32(min(max(v0 + c * u + d * v, zero), last_v))
+            k = np.int32(min(max(w, zero), last_w))
+            bad |= (pool.unsafe[(i * rows + j) * columns + (k >> 3)] >> (k & 7)) & 1
+            bad |= w < floor
+        if bad:
+            return False
+    return True

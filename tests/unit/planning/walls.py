@@ -1,0 +1,25 @@
+"""A constraint for tests of the search alone. One type for all of them: each would be compiled anew."""
+
+from typing import NamedTuple
+
+from deltasafe.compiling import compiled
+from deltasafe.planning import answers_segments
+
+
+class Wall(NamedTuple):
+    """Forbids the slab |x| < half below ``height`` and for y < ``gap_y``."""
+
+    half: float
+    height: float
+    gap_y: float
+
+
+@answers_segments(Wall)
+@compiled
+def passes(wall, start, end):  # type: ignore[no-untyped-def]
+    for step in range(201):
+        t = step / 200.0
+        x, y, z = (1 - t) * start[0] + t * end[0], (1 - t) * start[1] + t * end[1], (1 - t) * start[2] + t * end[2]
+        if abs(x) < wall.half and z < wall.height and y < wall.gap_y:
+            return False
+    return True
