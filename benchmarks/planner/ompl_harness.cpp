@@ -1,0 +1,217 @@
+// OMPL with the sampled test of deltasafe.planning: the same numbers, arrays and constants, read from a file.
+//
+// usage: ompl_harness PROBLEM PLANNER (iterations|seconds) BUDGET SEED SIMPLIFY REWIRE_FACTOR
+// prints: seconds of this thread, cost of the path (inf if none)
+#include <ompl/base/goals/GoalState.h>
+#include <ompl/base/objectives/PathLengthOptimizationObjective.h>
+#include <ompl/base/spaces/RealVectorStateSpace.h>
+#include <ompl/geometric/PathSimplifier.h>
+#include <ompl/geometric/SimpleSetup.h>
+#include <ompl/geometric/planners/informedtrees/BITstar.h>
+#include <ompl/geometric/planners/rrt/InformedRRTstar.h>
+#include <ompl/geometric/planners/rrt/RRTstar.h>
+#include <ompl/util/Console.h>
+#include <ompl/util/RandomNumbers.h>
+
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <ctime>
+#include <fstream>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace ob = ompl::base;
+namespace og = ompl::geometric;
+
+struct Numbers {
+    double lower[3], per_m, cells_per_m, unit_m, rho_max_m, delta_p_m, need_m, floor_voxels;
+    double rotation_weight, steering, goal_bias, start[4], goal[4], low[4], high[4];
+    int64_t nx, ny, nz, cx, cy, cz, n_samples, columns, pool, seed;
+};
+
+struct Problem {
+    Numbers n;
+    std::vector<uint8_t> certificate, unsafe;
+    std::vector<float> points;
+
+    explicit Problem(const char* file) {
+        std::ifstream in(file, std::ios::binary);
+        in.read(reinterpret_cast<char*>(&n), sizeof n);
+        certificate.resize(n.cx * n.cy * n.cz);
+        unsafe.resize(n.nx * n.ny * ((n.nz + 7) / 8));
+        points.resize(3 * n.columns);
+        in.read(reinterpret_cast<char*>(certificate.data()), certificate.size());
+        in.read(reinterpret_cast<char*>(unsafe.data()), unsafe.size());
+        in.read(reinterpret_cast<char*>(points.data()), points.size() * sizeof(float));
+        if (!in) {
+            std::fprintf(stderr, "the problem file is not complete\n");
+            std::exit(2);
+        }
+    }
+
+    static uint64_t mixed(uint64_t key, uint64_t counter) {
+        uint64_t bits = key + counter * 0x9E3779B97F4A7C15ULL;
+        bits = (bits ^ (bits >> 30)) * 0xBF58476D1CE4E5B9ULL;
+        bits = (bits ^ (bits >> 27)) * 0x94D049BB133111EBULL;
+        return bits ^ (bits >> 31);
+    }
+
+    static int clipped(double value, int64_t last) {
+        return static_cast<int>(std::fmin(std::fmax(value, 0.0), static_cast<double>(last)));
+    }
+
+    bool certified(double x, double y, double z) const {
+        const int i = clipped((x - n.lower[0]) * n.cells_per_m, n.cx - 1);
+        const int j = clipped((y - n.lower[1]) * n.cells_per_m, n.cy - 1);
+        const int k = clipped((z - n.lower[2]) * n.cells_per_m, n.cz - 1);
+        const int steps = certificate[(i * n.cy + j) * n.cz + k];
+        return steps > 0 && n.unit_m * (steps - 1.0) >= n.need_m;
+    }
+
+    bool samplesFree(double x, double y, double z, double yaw, uint64_t bits) const {
+        const float p = bits & (1ULL << 40) ? 1 : -1, q = bits & (1ULL << 41) ? 1 : -1;
+        const float c = std::cos(yaw), s = std::sin(yaw);
+        const float u0 = (x - n.lower[0]) * n.per_m, v0 = (y - n.lower[1]) * n.per_m, w0 = (z - n.lower[2]) * n.per_m;
+        const float last_u = n.nx - 1, last_v = n.ny - 1, last_w = n.nz - 1, floor = n.floor_voxels;
+        const int32_t rows = n.ny, bytes = (n.nz + 7) / 8;
+        const int64_t first = bits & (n.pool - 1);
+        const float *px = points.data() + first, *py = px + n.columns, *pz = py + n.columns;
+        for (int64_t begin = 0; begin < n.n_samples; begin += 16) {
+            const int64_t end = std::min(begin + 16, n.n_samples);
+            int bad = 0;
+            for (int64_t m = begin; m < end; ++m) {
+                const float u = px[m] * p, v = py[m] * q, w = pz[m] + w0;
+                const int i = std::fmin(std::fmax(u0 + c * u - s * v, 0.0f), last_u);
+                const int j = std::fmin(std::fmax(v0 + s * u + c * v, 0.0f), last_v);
+                const int k = std::fmin(std::fmax(w, 0.0f), last_w);
+                bad |= (unsafe[(i * rows + j) * bytes + (k >> 3)] >> (k & 7)) & 1;
+                bad |= w < floor;
+            }
+            if (bad) return false;
+        }
+        return true;
+    }
+
+    bool segmentIsSafe(const double* first, const double* second) const {
+        const double *a = first, *b = second;
+        for (int axis = 0; axis < 4; ++axis)
+            if (first[axis] != second[axis]) {
+                if (first[axis] > second[axis]) std::swap(a, b);
+                break;
+            }
+        const double scale = 1.0 / std::sqrt(n.rotation_weight);
+        const double d[4] = {b[0] - a[0], b[1] - a[1], b[2] - a[2], (b[3] - a[3]) * scale};
+        const double motion = std::sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) + n.rho_max_m * std::fabs(d[3]);
+        const int steps = static_cast<int>(std::ceil(motion / n.delta_p_m));
+        uint64_t key = 0;
+        bool keyed = false;
+        for (int step = 0; step <= steps; ++step) {
+            const double t = steps ? static_cast<double>(step) / steps : 0.0;
+            const double x = a[0] + t * d[0], y = a[1] + t * d[1], z = a[2] + t * d[2];
+            if (certified(x, y, z)) continue;
+            if (!keyed) {
+                key = mixed(static_cast<uint64_t>(n.seed), 1);
+                for (int axis = 0; axis < 4; ++axis) {
+                    key = mixed(key ^ static_cast<uint64_t>(static_cast<int64_t>(a[axis] * 1e9)), 1);
+                    key = mixed(key ^ static_cast<uint64_t>(static_cast<int64_t>(b[axis] * 1e9)), 1);
+                }
+                keyed = true;
+            }
+            if (!samplesFree(x, y, z, a[3] * scale + t * d[3], mixed(key, step + 1))) return false;
+        }
+        return true;
+    }
+};
+
+static const double* values(const ob::State* state) { return state->as<ob::RealVectorStateSpace::StateType>()->values; }
+
+class SampledMotion : public ob::MotionValidator {
+  public:
+    SampledMotion(const ob::SpaceInformationPtr& si, const Problem& problem) : ob::MotionValidator(si), problem_(problem) {}
+    bool checkMotion(const ob::State* a, const ob::State* b) const override {
+        return problem_.segmentIsSafe(values(a), values(b));
+    }
+    bool checkMotion(const ob::State* a, const ob::State* b, std::pair<ob::State*, double>& last) const override {
+        last.second = 0.0;
+        return checkMotion(a, b);
+    }
+
+  private:
+    const Problem& problem_;
+};
+
+static double threadSeconds() {
+    timespec now;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+    return now.tv_sec + 1e-9 * now.tv_nsec;
+}
+
+template <class Planner>
+static ob::PlannerPtr tree(const ob::SpaceInformationPtr& si, const Numbers& n, double rewire) {
+    auto planner = std::make_shared<Planner>(si);
+    planner->setRange(n.steering);
+    planner->setGoalBias(n.goal_bias);
+    planner->setKNearest(true);
+    if (rewire > 0) planner->setRewireFactor(rewire);
+    return planner;
+}
+
+int main(int count, char** words) {
+    if (count != 8) return 2;
+    ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
+    const Problem problem(words[1]);
+    const std::string name = words[2];
+    const bool timed = std::string(words[3]) == "seconds";
+    const double budget = std::atof(words[4]), share = std::atof(words[6]);
+    ompl::RNG::setSeed(std::atol(words[5]) + 1);
+    const Numbers& n = problem.n;
+    auto space = std::make_shared<ob::RealVectorStateSpace>(4);
+    ob::RealVectorBounds bounds(4);
+    ob::ScopedState<ob::RealVectorStateSpace> start(space), goal(space);
+    for (int axis = 0; axis < 4; ++axis) {
+        const double scale = axis == 3 ? std::sqrt(n.rotation_weight) : 1.0;
+        bounds.setLow(axis, n.low[axis] * scale);
+        bounds.setHigh(axis, n.high[axis] * scale);
+        start[axis] = n.start[axis] * scale;
+        goal[axis] = n.goal[axis] * scale;
+    }
+    space->setBounds(bounds);
+    og::SimpleSetup setup(space);
+    const auto si = setup.getSpaceInformation();
+    setup.setStateValidityChecker([&](const ob::State* s) { return problem.segmentIsSafe(values(s), values(s)); });
+    si->setMotionValidator(std::make_shared<SampledMotion>(si, problem));
+    setup.setStartAndGoalStates(start, goal, 1e-6);
+    setup.setOptimizationObjective(std::make_shared<ob::PathLengthOptimizationObjective>(si));
+    const double rewire = std::atof(words[7]);
+    if (name == "RRTstar") setup.setPlanner(tree<og::RRTstar>(si, n, rewire));
+    else if (name == "InformedRRTstar") setup.setPlanner(tree<og::InformedRRTstar>(si, n, rewire));
+    else if (name == "BITstar") setup.setPlanner(std::make_shared<og::BITstar>(si));
+    else return 2;
+    setup.setup();
+    const double began = threadSeconds();
+    long asked = 0;
+    const ob::PlannerTerminationCondition stop([&] {
+        return timed ? threadSeconds() - began >= budget * (1 - share) : asked++ >= static_cast<long>(budget);
+    });
+    setup.getPlanner()->solve(stop);
+    double cost = INFINITY;
+    if (setup.haveExactSolutionPath()) {
+        og::PathGeometric& path = setup.getSolutionPath();
+        if (share > 0) {
+            const ob::PlannerTerminationCondition enough([&] { return threadSeconds() - began >= budget; });
+            og::PathSimplifier simplifier(si, setup.getGoal(), setup.getOptimizationObjective());
+            while (!enough) {
+                const double before = path.length();
+                simplifier.simplify(path, enough);
+                if (path.length() >= before * (1 - 1e-9)) break;
+            }
+        }
+        cost = path.length();
+    }
+    std::printf("%.9f %.9f\n", threadSeconds() - began, cost);
+    return 0;
+}

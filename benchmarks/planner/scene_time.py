@@ -1,0 +1,41 @@
+"""From what the network saw to a trajectory: the four steps of a logged scene, timed."""
+
+import pathlib
+import statistics
+import time
+from typing import Any
+
+import cv2
+import numpy as np
+
+from deltasafe.planning import MotionSettings, SafetyField, plan, schedule
+from deltasafe.scene import grid_from_image, load_scenes
+
+__all__ = ["scene_times"]
+
+STEPS = ("field from image", "distances", "path", "schedule")
+
+
+def scene_times(repeats: int, n_scenes: int = 5, scenes: str | pathlib.Path = "datasets/scenes") -> dict[str, Any]:
+    """Medians in ms over scenes and repeats; p_occupied is a blurred true mask, as sharp as a network's."""
+    settings, taken = MotionSettings(), {name: [] for name in (*STEPS, "whole")}
+    for scene in load_scenes(scenes)[:n_scenes]:
+        mask = (cv2.imread(str(scene.mask_path), cv2.IMREAD_GRAYSCALE) > 0).astype(np.float32)
+        p_occupied = np.clip(cv2.GaussianBlur(mask, (0, 0), 3.0), 0.0, 1.0)
+        for turn in range(repeats + 1):
+            clock = [time.thread_time()]
+            grid = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m)
+            clock.append(time.thread_time())
+            field = SafetyField.build(grid, settings.delta)
+            clock.append(time.thread_time())
+            result = plan(scene.start, scene.goal, field, settings, turn)
+            clock.append(time.thread_time())
+            if result.path is None:
+                continue
+            schedule(result.path, field, settings)
+            clock.append(time.thread_time())
+            if turn > 0:
+                for name, before, after in zip(STEPS, clock[:-1], clock[1:], strict=True):
+                    taken[name].append(after - before)
+                taken["whole"].append(clock[-1] - clock[0])
+    return {"median_ms": {name: 1e3 * statistics.median(values) for name, values in taken.items()}}
