@@ -18,10 +18,12 @@ STEPS = ("field from image", "distances", "path", "schedule")
 
 def scene_times(repeats: int, n_scenes: int = 5, scenes: str | pathlib.Path = "datasets/scenes") -> dict[str, Any]:
     """Medians in ms over scenes and repeats; p_occupied is a blurred true mask, as sharp as a network's."""
-    settings, taken = MotionSettings(), {name: [] for name in (*STEPS, "whole")}
+    settings = MotionSettings()
+    taken: dict[str, list[float]] = {name: [] for name in (*STEPS, "whole")}
     for scene in load_scenes(scenes)[:n_scenes]:
-        mask = (cv2.imread(str(scene.mask_path), cv2.IMREAD_GRAYSCALE) > 0).astype(np.float32)
-        p_occupied = np.clip(cv2.GaussianBlur(mask, (0, 0), 3.0), 0.0, 1.0)
+        mask = np.asarray(cv2.imread(str(scene.mask_path), cv2.IMREAD_GRAYSCALE))
+        blurred = cv2.GaussianBlur((mask > 0).astype(np.float32), (0, 0), 3.0)
+        p_occupied = np.clip(blurred, 0.0, 1.0).astype(np.float32)
         for turn in range(repeats + 1):
             clock = [time.thread_time()]
             grid = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m)
