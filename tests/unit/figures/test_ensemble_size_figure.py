@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from test_reliability_figure import lines, report
 
 from deltasafe.figures.ensemble_size import ensemble_reliability_figure, ensemble_size_figure
 from deltasafe.perception.calibration_report import CalibrationSettings
 from deltasafe.perception.evaluation import calibrate
 from deltasafe.perception.paper_results import ENSEMBLE_SIZE_RESULTS, RELIABILITY_RESULTS
+from tests.unit.figures.test_reliability_figure import lines, report
 
 
 def test_figure_4_shows_three_sizes_five_members_and_the_paper_s_own_curves():

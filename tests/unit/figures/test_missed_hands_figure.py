@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from test_reliability_figure import lines, report
 
 from deltasafe.figures.missed_hands import missed_hands_figure
 from deltasafe.perception.calibration_report import CalibrationSettings
 from deltasafe.perception.evaluation import calibrate
 from deltasafe.perception.reliability import DELTA_GRID
+from tests.unit.figures.test_reliability_figure import lines, report
 
 
 def test_bars_are_the_missed_and_taken_shares_worst_first_and_named():

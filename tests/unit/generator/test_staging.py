@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
-from test_surface_mesh import is_watertight, volume
 
 from deltasafe.errors import SettingsError
 from deltasafe.storage import digest_of
@@ -19,6 +18,7 @@ from generator.recipe import InAir, OnTable
 from generator.scenes import free_place, hand_height_m, plan_scene
 from generator.stage import camera_looking_at
 from generator.staging import place_hand, view_of
+from tests.unit.generator.test_surface_mesh import is_watertight, volume
 
 NOTHING = Surroundings()
 COORDINATES = st.tuples(*[st.floats(-1, 1)] * 3)

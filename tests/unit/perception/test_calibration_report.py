@@ -6,7 +6,6 @@ import re
 
 import numpy as np
 import pytest
-from calibration_cases import synthetic_ensemble
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.calibration_markdown import report_markdown
@@ -20,6 +19,7 @@ from deltasafe.perception.calibration_writing import inline_pictures, write_cali
 from deltasafe.perception.evaluation import calibrate
 from deltasafe.perception.labelled_predictions import LabelledPredictions
 from deltasafe.perception.reliability import DELTA_GRID
+from tests.unit.perception.calibration_cases import synthetic_ensemble
 
 NAMES, LABELS, PREDICTIONS = synthetic_ensemble()
 

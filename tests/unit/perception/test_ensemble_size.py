@@ -4,12 +4,12 @@ import re
 
 import numpy as np
 import pytest
-from calibration_cases import synthetic_ensemble
 
 from deltasafe.perception.calibration_report import CalibrationSettings
 from deltasafe.perception.ensemble_size import ensemble_size_rows, ensemble_size_table, ensemble_size_values
 from deltasafe.perception.evaluation import calibrate
 from deltasafe.perception.metrics import pool_scores, score_image
+from tests.unit.perception.calibration_cases import synthetic_ensemble
 
 NAMES, LABELS, PREDICTIONS = synthetic_ensemble(n_members=11, shape=(24, 32))
 SETTINGS = CalibrationSettings(n_bootstrap=150, level=0.9, seed=3)

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from calibration_cases import synthetic_ensemble
 
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration import held_out_support
@@ -16,6 +15,7 @@ from deltasafe.perception.predictions import MemberPredictions
 from deltasafe.perception.recalibration import apply_temperature, fit_temperature, logit_counts, stack_logit_counts
 from deltasafe.perception.reliability import DELTA_GRID, safety_counts, stack_counts
 from deltasafe.perception.risk_control import conformal_threshold, missed_hand_shares
+from tests.unit.perception.calibration_cases import synthetic_ensemble
 
 FAST = CalibrationSettings(n_bootstrap=300)
 NAMES, LABELS, PREDICTIONS = synthetic_ensemble()

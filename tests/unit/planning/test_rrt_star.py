@@ -3,10 +3,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from walls import Wall, passes
 
 from deltasafe.planning import grow_tree, line_cost, path_cost, refine_path, segment_is_safe
 from deltasafe.planning.cost import segment_cost
+from tests.unit.planning.walls import Wall, passes
 
 START, GOAL = np.array([-0.15, 0.0, 0.03, 0.0]), np.array([0.15, 0.02, 0.03, 0.3])
 LOWER, UPPER = np.array([-0.2, -0.15, 0.02, -1.6]), np.array([0.2, 0.15, 0.15, 1.6])

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from walls import Wall, passes
 
 from deltasafe.errors import SettingsError
 from deltasafe.planning import (
@@ -21,6 +20,7 @@ from deltasafe.planning import (
 )
 from deltasafe.planning.cost import segment_cost
 from deltasafe.scene import OccupancyGrid
+from tests.unit.planning.walls import Wall, passes
 
 START, GOAL = np.array([-0.15, 0.0, 0.03, 0.0]), np.array([0.15, 0.02, 0.03, 0.3])
 LOWER, UPPER = np.array([-0.2, -0.15, 0.02, -1.6]), np.array([0.2, 0.15, 0.15, 1.6])
