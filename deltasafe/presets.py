@@ -82,6 +82,7 @@ PRESETS = {
             schedule="exponential",
             epoch_decay=0.8,
             weight_decay=0.0,
+            precision="float32",
         ),
         inference=InferenceSettings(384, 288),
     ),

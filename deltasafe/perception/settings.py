@@ -76,7 +76,7 @@ class TrainingSettings:
     """
 
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
-    epochs: int = 4
+    epochs: int = 5
     batch_size: int = 8
     small_share: float = 0.0
     small_scale: float = 0.625
@@ -84,7 +84,7 @@ class TrainingSettings:
     schedule: str = "one_cycle"
     epoch_decay: float = 0.8
     weight_decay: float = 1e-4
-    precision: str = "float32"
+    precision: str = "auto"
     compile: bool = False
     checkpoint_every_steps: int = 60
 
