@@ -37,6 +37,7 @@ benchmarks: $(STAMP)
 	$(BIN)/python -m benchmarks.inference --record docs/results/benchmarks_perception.json
 	$(BIN)/python -m benchmarks.training --record docs/results/benchmarks_perception.json
 	$(BIN)/python -m benchmarks.paper_preset --record docs/results/paper_preset.json
+	$(BIN)/python -m benchmarks.planner --record docs/results/planner.json
 
 test: $(STAMP) check
 	$(BIN)/python -m pytest -n 2 --dist loadfile

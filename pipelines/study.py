@@ -69,7 +69,9 @@ def report(study: "Study", root: pathlib.Path, record: pathlib.Path | None) -> "
         if destination is not None:
             write_record(destination, study, reports)
     if record is not None:
-        write_study(record.with_suffix(""), study.settings, reports)
+        shown = [cell for cell in study.settings.schemes() if cell.n_images == study.settings.sizes[-1]]
+        sets = {cell.scheme: found for cell in shown if (found := study.find_set(cell)) is not None}
+        write_study(record.with_suffix(""), study.settings, reports, sets=sets)
     return reports
 
 

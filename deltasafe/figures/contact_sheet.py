@@ -1,6 +1,7 @@
 """Originals beside what the augmentation made of them, every mask outlined: for a person to judge."""
 
 import pathlib
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -14,7 +15,7 @@ from deltasafe.perception.augmented_set import AugmentedSet
 from deltasafe.perception.hands import HandSet
 from deltasafe.storage import atomic_file
 
-__all__ = ["contact_sheet"]
+__all__ = ["contact_sheet", "scheme_sheet"]
 
 OUTLINE = (0.0, 0.85, 1.0)
 LETTERS = {
@@ -82,6 +83,26 @@ def contact_sheet(
         with atomic_file(destination) as temporary:
             figure.savefig(temporary, facecolor="white")
     return destination
+
+
+def scheme_sheet(sets: Mapping[str, AugmentedSet], n_images: int = 8) -> Figure:
+    """A row for each scheme: new images of evenly chosen originals, the share of hand outlined at one half.
+
+    Args:
+        sets: by title, at least one.
+        n_images: in a row.
+    """
+    aspect = max(made.settings.height / made.settings.width for made in sets.values())
+    with mpl.rc_context({"font.size": 7.0}):
+        figure = Figure(figsize=(1.5 * n_images, 1.5 * aspect * len(sets) + 0.25 * len(sets)), layout="constrained")
+        all_axes = figure.subplots(len(sets), n_images, squeeze=False)
+        for row, (title, made) in zip(all_axes, sets.items(), strict=True):
+            chosen = np.linspace(0, made.n - 1, n_images).round().astype(int)
+            shares = made.labels(chosen)
+            for axis, image, share in zip(row, made.images[chosen], shares, strict=True):
+                _draw(axis, image, share, "")
+            row[0].set_title(f"{title}, {made.n_distinct} different of {made.n}", fontsize=8, loc="left", pad=3)
+    return figure
 
 
 def _draw(axis: Any, image: np.ndarray, mask: np.ndarray, title: str) -> None:

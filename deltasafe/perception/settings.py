@@ -7,7 +7,14 @@ from typing import Any
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["ARCHITECTURES", "BACKBONES", "InferenceSettings", "NetworkSettings", "TrainingSettings"]
+__all__ = [
+    "ARCHITECTURES",
+    "BACKBONES",
+    "InferenceSettings",
+    "NetworkSettings",
+    "PromotionSettings",
+    "TrainingSettings",
+]
 
 ARCHITECTURES = ("deeplabv3", "deeplabv3plus")
 BACKBONES = ("efficientnet_lite0", "mobilenet_v3_large", "resnet50")
@@ -132,3 +139,32 @@ class InferenceSettings:
             max(2, round(height * scale / _STRIDE)) * _STRIDE,
             max(2, round(width * scale / _STRIDE)) * _STRIDE,
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class PromotionSettings:
+    """When a new ensemble takes the place of the one in use (`perception.promotion`).
+
+    Attributes:
+        nll_margin, brier_margin: largest tolerable loss as a share of the old ensemble's NLL and Brier score.
+        miou_margin: largest tolerable loss of mIoU, as a difference.
+        level: confidence of the one-sided bounds that must stay below the margins.
+        n_bootstrap: bootstrap samples of the test images.
+        seed: of the bootstrap.
+    """
+
+    nll_margin: float = 0.1
+    brier_margin: float = 0.1
+    miou_margin: float = 0.01
+    level: float = 0.95
+    n_bootstrap: int = 2000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("nll_margin", "brier_margin", "miou_margin"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise SettingsError(f"{name} must be finite and not negative, got {getattr(self, name)}")
+        if not 0.5 < self.level < 1.0:
+            raise SettingsError(f"level must lie in (0.5, 1), got {self.level}")
+        if self.n_bootstrap < 100:
+            raise SettingsError(f"n_bootstrap must be at least 100 for a 95 % bound, got {self.n_bootstrap}")

@@ -1,6 +1,7 @@
 """The studies as a folder: `report.md` with tables and pictures, and every figure by a short name."""
 
 import dataclasses
+import functools
 import pathlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -25,6 +26,8 @@ from deltasafe.storage import atomic_folder
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from deltasafe.perception.augmented_set import AugmentedSet
+
 __all__ = ["SECTIONS", "ablation_markdown", "scheme_markdown", "study_values", "write_study"]
 
 SECTIONS = ("schemes", "ensemble_size", "ablation")
@@ -33,7 +36,11 @@ _SHORT = {"pixel_accuracy": "pa", "miou": "miou", "nll": "nll", "brier": "bs"}
 
 
 def write_study(
-    folder: str | pathlib.Path, settings: StudySettings, reports: Reports, sections: Sequence[str] = SECTIONS
+    folder: str | pathlib.Path,
+    settings: StudySettings,
+    reports: Reports,
+    sections: Sequence[str] = SECTIONS,
+    sets: "Mapping[str, AugmentedSet] | None" = None,
 ) -> pathlib.Path:
     """Write what is finished; what is not is named as missing. The folder appears as a whole or not at all.
 
@@ -41,11 +48,16 @@ def write_study(
         folder: destination, replaced if it exists.
         reports: of the finished cells, by name.
         sections: some of `SECTIONS`.
+        sets: augmented sets of the largest size by scheme, to show some of their images.
 
     Returns:
         path of `report.md`.
     """
-    write = {"schemes": _schemes, "ensemble_size": _ensemble_size, "ablation": _ablation}
+    write = {
+        "schemes": functools.partial(_schemes, sets=sets or {}),
+        "ensemble_size": _ensemble_size,
+        "ablation": _ablation,
+    }
     made = [write[name](settings, reports) for name in sections]
     with atomic_folder(folder) as temporary:
         for name, figure in (item for section in made for item in section.pictures.items()):
@@ -70,11 +82,14 @@ def _section(title: str, missing: Sequence[str], text: str, pictures: "Mapping[s
     return _Section([*parts, *(f"![{name.removesuffix('.png')}]({name})" for name in pictures)], pictures)
 
 
-def _schemes(settings: StudySettings, reports: Reports) -> _Section:
+def _schemes(settings: StudySettings, reports: Reports, sets: "Mapping[str, AugmentedSet]") -> _Section:
+    from deltasafe.figures.contact_sheet import scheme_sheet
     from deltasafe.figures.schemes import scheme_figure, scheme_tables_figure
 
     rows = scheme_rows(settings, reports)
     pictures = {"tables-1-2.png": scheme_tables_figure(rows), "schemes.png": scheme_figure(rows)} if rows else {}
+    if sets:
+        pictures["images.jpg"] = scheme_sheet({SCHEME_TITLES[name]: made for name, made in sets.items()})
     text = scheme_markdown(rows, settings) if rows else ""
     missing = missing_cells(settings.schemes(), reports)
     return _section("Augmentation schemes (Tables I and II)", missing, text, pictures)

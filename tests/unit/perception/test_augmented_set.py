@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deltasafe.errors import DataError, SettingsError
-from deltasafe.figures.contact_sheet import contact_sheet
+from deltasafe.figures.contact_sheet import contact_sheet, scheme_sheet
 from deltasafe.perception.augmentation import METHOD_NAMES, AugmentationSettings, Backgrounds
 from deltasafe.perception.augmented_set import AugmentedSet, remake, write_augmented_set
 from deltasafe.perception.hands import HandSet
@@ -162,6 +162,14 @@ def test_a_changed_pixel_is_found_by_verification(copy: pathlib.Path) -> None:
     del images
     with pytest.raises(DataError, match="image 7 differs"):
         AugmentedSet.load(copy).verify()
+
+
+def test_a_sheet_of_schemes_shows_images_of_each(made: AugmentedSet) -> None:
+    figure = scheme_sheet({"One": made, "Other": made}, n_images=3)
+    first = figure.axes[0]
+    assert len(figure.axes) == 6
+    assert first.get_title(loc="left") == f"One, {made.n_distinct} different of {made.n}"
+    np.testing.assert_array_equal(first.images[0].get_array(), made.images[0])
 
 
 def test_the_contact_sheet_is_a_picture_of_the_right_form(
