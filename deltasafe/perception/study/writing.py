@@ -1,9 +1,8 @@
 """The studies as a folder: `report.md` with tables and pictures, and every figure by a short name."""
 
 import dataclasses
-import functools
 import pathlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from deltasafe.perception.ensemble_size import ensemble_size_table, ensemble_size_values
@@ -53,12 +52,12 @@ def write_study(
     Returns:
         path of `report.md`.
     """
-    write = {
-        "schemes": functools.partial(_schemes, sets=sets or {}),
-        "ensemble_size": _ensemble_size,
-        "ablation": _ablation,
+    write: dict[str, Callable[[], _Section]] = {
+        "schemes": lambda: _schemes(settings, reports, sets or {}),
+        "ensemble_size": lambda: _ensemble_size(settings, reports),
+        "ablation": lambda: _ablation(settings, reports),
     }
-    made = [write[name](settings, reports) for name in sections]
+    made = [write[name]() for name in sections]
     with atomic_folder(folder) as temporary:
         for name, figure in (item for section in made for item in section.pictures.items()):
             figure.savefig(temporary / name, dpi=110, facecolor="white")
