@@ -69,7 +69,7 @@ PRESETS = {
         n_films=1,
     ),
     # half an hour on two cores
-    "default": Preset(study=StudySettings(comparison_epochs=2)),
+    "default": Preset(study=StudySettings(comparison_width=160, comparison_epochs=2)),
     # the paper's network, image size and training recipe (decision 6), M = 10: a GPU's work
     "paper": Preset(
         n_members=10,

@@ -60,7 +60,8 @@ class StudySettings:
         left_out: methods of the ablation, one after another, at the largest size.
         cutout_side: see `CutoutSettings`.
         mixup_alpha: see `MixupSettings`.
-        comparison_width: of the images of Tables I and II and the ablation, in pixels; 0 is the preset's.
+        comparison_width: of the images of Tables I and II and the ablation, in pixels; 0 is the preset's. Their
+            ensembles look at images that are smaller in the same proportion.
         comparison_epochs: over a set of the largest size, for the same; 0 is the preset's.
         first_seed: member m of every cell has the seed ``first_seed`` + m.
     """

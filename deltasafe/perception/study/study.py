@@ -43,7 +43,7 @@ class Study:
             its size and seed.
         training: of a cell of the largest size; smaller ones get more epochs, so that all take as many steps. Width of
             the images and epochs are ``settings``' own for comparisons that have a lighter recipe.
-        inference: resolution at which every ensemble looks.
+        inference: resolution at which ensembles look; in proportion smaller where comparisons have smaller images.
         calibration: bootstrap of the intervals.
         train: the originals.
         test: the images that every cell is judged on.
@@ -106,6 +106,11 @@ class Study:
             training = dataclasses.replace(training, epoch_decay=decay)
         return training
 
+    def inference_settings(self, cell: Cell) -> InferenceSettings:
+        """The resolution at which the ensemble of ``cell`` looks: to its training images as the preset's to its own."""
+        scale = self._lightened(cell).width / self.augmentation.width
+        return InferenceSettings(round(scale * self.inference.width), round(scale * self.inference.height))
+
     def n_steps(self, cell: Cell) -> int:
         """Gradient steps of every member of ``cell``; the same in all cells of one recipe."""
         return self._epochs(cell) * self._steps_per_epoch(self.settings.sizes[-1])
@@ -167,9 +172,10 @@ class Study:
         assert {len(member.losses) for member in members} == {self.n_steps(cell)}
         return members
 
-    def predictions(self, members: Sequence[Member], progress: Progress = silent) -> "Stacked":
-        """What every member thinks of every test image; each is asked once, ever."""
-        return Stacked([self._predictions_of(member, progress) for member in members])
+    def predictions(self, cell: Cell, members: Sequence[Member], progress: Progress = silent) -> "Stacked":
+        """What ``members`` of ``cell`` think of every test image; each is asked once, ever."""
+        inference = self.inference_settings(cell)
+        return Stacked([self._predictions_of(member, inference, progress) for member in members])
 
     def judge(
         self, cell: Cell, on_step: Callable[[str, StepReport], None] | None = None, progress: Progress = silent
@@ -179,7 +185,7 @@ class Study:
             return found
         members = self.members(cell, on_step, progress)
         ids = [item.id for item in self.test.items]
-        report = calibrate(ids, self._labels, self.predictions(members, progress), self.calibration, progress)
+        report = calibrate(ids, self._labels, self.predictions(cell, members, progress), self.calibration, progress)
         write_json(self.report_folder(cell) / "report.json", report)
         return report
 
@@ -207,18 +213,20 @@ class Study:
 
     def report_folder(self, cell: Cell) -> pathlib.Path:
         """Where `judge` keeps the report of ``cell``, whose members are finished."""
-        key = [[self._prediction_key(member) for member in self.find_members(cell)], self.calibration, FORMAT_VERSION]
+        inference = self.inference_settings(cell)
+        asked = [self._prediction_key(member, inference) for member in self.find_members(cell)]
+        key = [asked, self.calibration, FORMAT_VERSION]
         return self.store.report(digest_of(key))
 
-    def _prediction_key(self, member: Member) -> str:
+    def _prediction_key(self, member: Member, inference: InferenceSettings) -> str:
         weights = member.record["weights_sha256"]
-        return digest_of([weights, self.inference, self.test.digest, digest_of_sources(*_PREDICTS)])
+        return digest_of([weights, inference, self.test.digest, digest_of_sources(*_PREDICTS)])
 
-    def _predictions_of(self, member: Member, progress: Progress) -> MemberPredictions:
-        folder = self.store.predictions(self._prediction_key(member))
+    def _predictions_of(self, member: Member, inference: InferenceSettings, progress: Progress) -> MemberPredictions:
+        folder = self.store.predictions(self._prediction_key(member, inference))
         if (folder / "index.json").is_file():
             return MemberPredictions(folder)
-        ensemble = Ensemble([member.network()], self.inference, str(pick_device(self.device)))
+        ensemble = Ensemble([member.network()], inference, str(pick_device(self.device)))
         position = {item.id: index for index, item in enumerate(self.test.items)}
         return MemberPredictions.write(
             folder,

@@ -102,6 +102,9 @@ def test_comparisons_may_have_a_lighter_recipe_and_table_3_keeps_that_of_the_pre
     sizes = {cell: lighter.scheme_settings(cell) for cell in cells if not cell.left_out}
     assert (sizes[settings.largest].width, sizes[settings.largest].height) == (128, 96)
     assert {(made.width, made.height) for cell, made in sizes.items() if not cell.full} == {(96, 72)}
+    looks = dataclasses.replace(lighter, inference=InferenceSettings(160, 120))
+    assert looks.inference_settings(settings.largest) == InferenceSettings(160, 120)
+    assert {looks.inference_settings(cell) for cell in cells if not cell.full} == {InferenceSettings(120, 90)}
 
 
 @given(st.integers(1, 9), st.integers(2, 16), st.integers(1, 30), st.integers(1, 12), st.booleans())
@@ -168,7 +171,7 @@ def test_stacked_predictions_are_those_of_the_ensemble(study: Study, trained: li
     cell = Cell("mixup", 6, 2)
     study.judge(cell)
     members = study.members(cell)
-    stacked = study.predictions(members)
+    stacked = study.predictions(cell, members)
     ensemble = module.Ensemble([member.network() for member in members], study.inference)
     assert len(stacked) == 2
     for index, seen in enumerate(stacked):
