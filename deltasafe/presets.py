@@ -7,7 +7,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.execution.simulate import ExecutionSettings
 from deltasafe.perception.augmentation.settings import AugmentationSettings
 from deltasafe.perception.calibration_report import CalibrationSettings, GateThresholds
-from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
+from deltasafe.perception.settings import InferenceSettings, NetworkSettings, PromotionSettings, TrainingSettings
 from deltasafe.perception.study import StudySettings
 from deltasafe.planner_study.settings import ComparisonSettings, TimingSettings
 from deltasafe.planning import MotionSettings
@@ -34,6 +34,7 @@ class Preset:
     inference: InferenceSettings = dataclasses.field(default_factory=InferenceSettings)
     calibration: CalibrationSettings = dataclasses.field(default_factory=CalibrationSettings)
     gate: GateThresholds = dataclasses.field(default_factory=GateThresholds)
+    promotion: PromotionSettings = dataclasses.field(default_factory=PromotionSettings)
     study: StudySettings = dataclasses.field(default_factory=StudySettings)
     field: FieldSettings = dataclasses.field(default_factory=FieldSettings)
     # in the paper's experiment the area between path and table is penalised, so that the tool passes near the fingers

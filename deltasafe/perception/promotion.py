@@ -136,13 +136,20 @@ def judge_challenger(
     test: HandSet,
     kept: pathlib.Path,
     settings: PromotionSettings,
+    objection: str = "",
     progress: Progress = silent,
 ) -> Verdict:
     """Whether ``challenger`` takes the place of ``champion`` (None if there is none yet); see the module for the rule.
 
+    Args:
+        kept: folder of scores, by ensemble and digest of the test set.
+        objection: why a person took the challenger out of use; what a person decided is not overruled by figures.
+
     Raises:
         ArtifactError: one of the two is not intact.
     """
+    if champion is not None and objection and champion.name != challenger.name:
+        return Verdict(champion.name, challenger.name, False, f"taken out of use by hand: {objection}")
     if champion is None or champion.name == challenger.name:
         reason = "the first of its kind" if champion is None else "the very ensemble that is in use"
         return Verdict(challenger.name, challenger.name, True, reason)
