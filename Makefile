@@ -15,7 +15,7 @@ STAMP := $(VENV)/.installed
 REQUIREMENTS := -e .[vision,sim] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: hands scenes surroundings demo test ui check lock clean record study planner-study benchmarks
+.PHONY: hands scenes surroundings demo test ui check lock clean record study planner-study safety-study benchmarks
 
 demo: $(STAMP)
 	$(BIN)/python -m pipelines.demo
@@ -31,6 +31,12 @@ study: $(STAMP)
 # Fig. 5 and Fig. 6: minutes
 planner-study: $(STAMP)
 	$(BIN)/python -m pipelines.planner_study --record docs/results/planner_study.json
+
+# thousands of executed motions, an hour; after `make demo`, whose ensemble it takes.
+# SCENES="DIR ..." names folders of scenes (docs/data.md), EXECUTIONS=N how many motions
+safety-study: $(STAMP)
+	$(BIN)/python -m pipelines.safety_study --record docs/results/safety.json \
+	  $(if $(SCENES),--scenes $(SCENES)) $(if $(EXECUTIONS),--executions $(EXECUTIONS))
 
 # each in turns with what one would write first; half an hour, on a machine with nothing else to do
 benchmarks: $(STAMP)

@@ -11,6 +11,7 @@ from deltasafe.perception.settings import InferenceSettings, NetworkSettings, Pr
 from deltasafe.perception.study import StudySettings
 from deltasafe.planner_study.settings import ComparisonSettings, TimingSettings
 from deltasafe.planning import MotionSettings
+from deltasafe.safety_study.settings import SafetyStudySettings
 from deltasafe.scene import FieldSettings
 
 __all__ = ["PRESETS", "VARIABLE", "Preset", "active"]
@@ -42,6 +43,7 @@ class Preset:
     execution: ExecutionSettings = dataclasses.field(default_factory=ExecutionSettings)
     comparison: ComparisonSettings = dataclasses.field(default_factory=ComparisonSettings)
     timing: TimingSettings = dataclasses.field(default_factory=TimingSettings)
+    safety_study: SafetyStudySettings = dataclasses.field(default_factory=SafetyStudySettings)
     n_scenes: int = 0
     n_films: int = 3
 
@@ -66,6 +68,7 @@ PRESETS = {
         motion=MotionSettings(cost="area", delta=0.5),
         comparison=ComparisonSettings(n_levels=2, n_runs=3, n_runs_beside=2, n_iterations=500, voxel_m=0.01),
         timing=TimingSettings(counts=(1, 5, 20), n_runs=2, n_iterations=500, voxel_m=0.01),
+        safety_study=SafetyStudySettings(deltas=(0.05, 0.45), n_executions=2, n_bootstrap=100, n_films=1),
         n_scenes=2,
         n_films=1,
     ),

@@ -10,12 +10,15 @@ import assets.checks
 import assets.motion
 import assets.perception
 import assets.planner_study
+import assets.safety_study
+import assets.single_scene
 import assets.study
 from pipelines import jobs
 from pipelines.console import progress_console
 from pipelines.home import DATASETS, home
 from pipelines.io import FolderPointers
-from pipelines.resources import StoreResource, TrackerResource
+from pipelines.resources import RegistryResource, StoreResource, TrackerResource
+from pipelines.sensors import all_sensors
 
 __all__ = ["build_defs"]
 
@@ -38,15 +41,34 @@ def build_defs(
         "io_manager": FolderPointers(home=str(root)),
         "store": StoreResource(home=str(root), datasets=str(DATASETS)),
         "tracker": TrackerResource(home=str(root)),
+        "registry": RegistryResource(home=str(root)),
     }
     executor = dg.multiprocess_executor.configured(
         {"max_concurrent": max_concurrent, "start_method": {"forkserver": {"preload_modules": _PRELOADED}}}
     )
     return dg.Definitions(
-        assets=dg.load_assets_from_modules([assets.perception, assets.motion, assets.study, assets.planner_study]),
-        asset_checks=dg.load_asset_checks_from_modules([assets.checks]),
-        jobs=[jobs.everything, jobs.perception, jobs.planning, jobs.study, jobs.planner_study],
+        assets=dg.load_assets_from_modules(
+            [
+                assets.perception,
+                assets.motion,
+                assets.single_scene,
+                assets.study,
+                assets.planner_study,
+                assets.safety_study,
+            ]
+        ),
+        asset_checks=dg.load_asset_checks_from_modules([assets.checks, assets.single_scene]),
+        jobs=[
+            jobs.everything,
+            jobs.perception,
+            jobs.planning,
+            jobs.single_scene,
+            jobs.study,
+            jobs.planner_study,
+            jobs.safety_study,
+        ],
         schedules=[jobs.retraining],
+        sensors=all_sensors(root),
         resources={**resources, **(overrides or {})},
         executor=executor,
         loggers={"console": progress_console},

@@ -5,7 +5,18 @@ import dagster as dg
 from assets.perception import members
 from assets.study import cells
 
-__all__ = ["ALL_CELLS", "ALL_MEMBERS", "everything", "perception", "planner_study", "planning", "retraining", "study"]
+__all__ = [
+    "ALL_CELLS",
+    "ALL_MEMBERS",
+    "everything",
+    "perception",
+    "planner_study",
+    "planning",
+    "retraining",
+    "safety_study",
+    "single_scene",
+    "study",
+]
 
 
 def _whole_range(partitions: dg.StaticPartitionsDefinition) -> dict[str, str]:
@@ -37,6 +48,12 @@ everything = dg.define_asset_job(
     tags=ALL_MEMBERS,
 )
 
+single_scene = dg.define_asset_job(
+    "single_scene",
+    dg.AssetSelection.groups("single_scene"),
+    description="One newly logged scene with the ensemble in use: seen, planned, executed, judged.",
+)
+
 study = dg.define_asset_job(
     "study",
     dg.AssetSelection.groups("study") | dg.AssetSelection.assets("raw_hands", "test_hands"),
@@ -48,6 +65,12 @@ planner_study = dg.define_asset_job(
     "planner_study",
     dg.AssetSelection.groups("planner_study"),
     description="Fig. 5 and Fig. 6 of the paper: the planner against the compared methods; goes on where it was.",
+)
+
+safety_study = dg.define_asset_job(
+    "safety_study",
+    dg.AssetSelection.groups("safety_study"),
+    description="Thousands of executed motions: were they delta-safe? With intervals; goes on where it was.",
 )
 
 

@@ -9,11 +9,11 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.batches import Batch, Effort, run_batches
 from deltasafe.errors import DataError
-from deltasafe.planner_study.batches import Batch, Effort, run_batches
 from deltasafe.planner_study.contenders import MAIN, Contender, constraint_of, contenders, field_of, search
 from deltasafe.planner_study.scenes import StudyScene, cluttered_scene, simple_scene
-from deltasafe.planner_study.settings import ComparisonSettings
+from deltasafe.planner_study.settings import MADE_BY, ComparisonSettings
 from deltasafe.planning import is_segment_safe, line_cost, path_cost
 from deltasafe.progress import Progress, silent
 from deltasafe.storage import atomic_folder, read_json, write_json
@@ -116,7 +116,7 @@ def compare(
     jobs = [
         (f"{scene}-{level:02d}", (settings, scene, level)) for scene in SCENES for level in range(settings.n_levels)
     ]
-    batches, effort = run_batches(_one_level, jobs, folder, workers, progress)
+    batches, effort = run_batches(_one_level, jobs, folder, workers, progress, made_by=MADE_BY)
     shape = (len(SCENES), settings.n_levels, len(contenders(settings)), settings.n_runs)
     runs = {name: np.stack([batch[name] for batch in batches]).reshape(shape) for name in MEASURES}
     return Comparison(settings, runs, effort)

@@ -7,11 +7,11 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.batches import Batch, Effort, run_batches
 from deltasafe.errors import DataError
-from deltasafe.planner_study.batches import Batch, Effort, run_batches
 from deltasafe.planner_study.contenders import constraint_of, field_of, search
 from deltasafe.planner_study.scenes import crowded_scene
-from deltasafe.planner_study.settings import TimingSettings
+from deltasafe.planner_study.settings import MADE_BY, TimingSettings
 from deltasafe.planning.baselines import GaussianCheckSettings
 from deltasafe.progress import Progress, silent
 from deltasafe.storage import atomic_folder, read_json, write_json
@@ -96,7 +96,7 @@ def measure_times(
     CPU time of one thread. More ``workers`` than idle cores disturb each other.
     """
     jobs = [(f"spheres-{count:03d}", (settings, count)) for count in settings.counts]
-    batches, effort = run_batches(_one_count, jobs, folder, workers, progress)
+    batches, effort = run_batches(_one_count, jobs, folder, workers, progress, made_by=MADE_BY)
     stacked = {name: np.stack([batch[name] for batch in batches]) for name in ("seconds", "n_nodes", "field_s")}
     return Timing(settings, **stacked, effort=effort)
 

@@ -18,7 +18,7 @@ from deltasafe.planning.rrt_star import RrtStar, grow_tree
 from deltasafe.planning.scc_rrt_star import Planner, PlannerSettings, plan
 from deltasafe.planning.tracking import TrackingBound
 from deltasafe.planning.tree import SearchTree
-from deltasafe.planning.velocity import SpeedProfile, VelocitySettings, schedule
+from deltasafe.planning.velocity import SpeedProfile, VelocitySettings, schedule, schedule_at_top_speed
 
 __all__ = [
     "CheckSettings",
@@ -48,6 +48,7 @@ __all__ = [
     "plan_motion",
     "refine_path",
     "schedule",
+    "schedule_at_top_speed",
     "segment_is_safe",
     "segment_test",
 ]

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from deltasafe.planning.checks import (
 from deltasafe.planning.field import SafetyField
 from deltasafe.planning.tracking import TrackingBound
 
-__all__ = ["SpeedProfile", "VelocitySettings", "schedule"]
+__all__ = ["SpeedProfile", "VelocitySettings", "schedule", "schedule_at_top_speed"]
 
 Array = NDArray[np.float64]
 CHORD_TOLERANCE_M = 0.00005
@@ -131,6 +132,33 @@ def schedule(
     steps_m = np.linalg.norm(np.diff(curve.poses[:, :3], axis=0), axis=1)
     profile = SpeedProfile(np.append(0.0, np.cumsum(steps_m)), clearance_m, allowed_mps, rate * per_length, curve.poses)
     return trajectory, profile
+
+
+def schedule_at_top_speed(
+    path: PosePath,
+    is_safe: Callable[[Array], bool],
+    settings: VelocitySettings,
+    body: ToolBody | None = None,
+    rotation_weight_m2: float = 0.01,
+) -> Trajectory:
+    """Trajectory from rest to rest at ``v_max_mps`` wherever accelerations and the yaw rate admit it, whatever is near.
+
+    What velocity scheduling is compared with. Corners are blended as by ``schedule``.
+
+    Args:
+        is_safe: whether the arc of a blended corner, given by poses (M, 4) along it, may be driven.
+
+    Raises:
+        SettingsError: a path of a single pose, which has no speed.
+    """
+    if len(path) == 1:
+        raise SettingsError("a path of a single pose has no top speed")
+    curve = blend_corners(
+        path.poses, rotation_weight_m2, settings.blend_reach_m, settings.spacing_m, is_safe, CHORD_TOLERANCE_M
+    )
+    rho_max_m = (body or ToolBody()).rho_max_m
+    cell_mps = np.full(len(curve.length) - 1, settings.v_max_mps)
+    return _sampled(curve, _rates(curve, cell_mps, settings, rho_max_m, rotation_weight_m2), settings)
 
 
 def _rates(curve: SmoothPath, cell_mps: Array, settings: VelocitySettings, rho_max_m: float, weight_m2: float) -> Array:

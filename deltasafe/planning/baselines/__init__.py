@@ -1,6 +1,7 @@
 """The compared methods: collision chance constraints for obstacles of known shape at a Gaussian position."""
 
 from deltasafe.planning.baselines.checks import GaussianCheckSettings, GaussianTest, gaussian_test, keep_out_m
+from deltasafe.planning.baselines.in_view import GaussianTestInView
 from deltasafe.planning.baselines.obstacles import GaussianObstacle, enclosing_obstacle
 from deltasafe.planning.baselines.probability import (
     JOINT_RISKS,
@@ -16,6 +17,7 @@ __all__ = [
     "GaussianCheckSettings",
     "GaussianObstacle",
     "GaussianTest",
+    "GaussianTestInView",
     "collision_probability",
     "collision_probability_of_ball",
     "enclosing_obstacle",

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from deltasafe.batches import Effort, run_batches
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.planner_study import (
     MAIN,
@@ -22,7 +23,6 @@ from deltasafe.planner_study import (
     paper_curves,
     write_study,
 )
-from deltasafe.planner_study.batches import Effort, run_batches
 from deltasafe.planner_study.comparison import MEASURES, SCENES
 from deltasafe.planner_study.timing import TIMED
 

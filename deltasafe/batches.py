@@ -18,13 +18,6 @@ from deltasafe.storage import atomic_file, digest_of, sha256_of_file
 
 __all__ = ["Batch", "Effort", "run_batches"]
 
-MADE_BY = (
-    "scene/*.py",
-    "planning/**/*.py",
-    *(f"planner_study/{name}.py" for name in ("scenes", "contenders", "comparison", "timing")),
-)
-"""Sources that decide what a batch holds; settings and scenes enter by their values."""
-
 Batch: TypeAlias = Mapping[str, NDArray[Any]]
 
 
@@ -47,6 +40,8 @@ def run_batches(
     folder: str | pathlib.Path,
     workers: int = 1,
     progress: Progress = silent,
+    *,
+    made_by: Sequence[str] = ("**/*.py",),
 ) -> tuple[list[Batch], Effort]:
     """``work(*arguments)`` for every job ``(name, arguments)``, in the order of the jobs, and what that took.
 
@@ -56,24 +51,31 @@ def run_batches(
     Args:
         work: a function of a module, whose arguments have a JSON form.
         workers: processes; with one, the work is done in this process.
+        made_by: sources of this package (glob patterns) that decide what a batch holds, all of them by default;
+            whatever else does is among the arguments.
     """
     if workers < 1:
         raise SettingsError(f"workers must be at least 1, got {workers}")
     began_s = time.monotonic()
-    folder, code = pathlib.Path(folder), _digest_of_sources()
+    folder, code = pathlib.Path(folder), _digest_of_sources(made_by)
     files = [
         folder / f"{name}-{digest_of([work.__module__, work.__qualname__, code, arguments])[:16]}.npz"
         for name, arguments in jobs
     ]
     missing = [index for index, file in enumerate(files) if not file.is_file()]
-    done = len(jobs) - len(missing)
+    found = done = len(jobs) - len(missing)
     progress(done, len(jobs), "batches were already there" if done else "batches to do")
+
+    def left(name: str) -> str:
+        minutes = (time.monotonic() - began_s) / (done - found) * (len(jobs) - done) / 60
+        return f"{name}; about {minutes:.0f} min left" if done < len(jobs) else name
+
     tasks = [(work, files[index], jobs[index][1]) for index in missing]
     if workers == 1 or len(tasks) <= 1:
         for index, task in zip(missing, tasks, strict=True):
             _store(*task)
             done += 1
-            progress(done, len(jobs), jobs[index][0])
+            progress(done, len(jobs), left(jobs[index][0]))
     else:
         context = multiprocessing.get_context("spawn")
         with concurrent.futures.ProcessPoolExecutor(min(workers, len(tasks)), mp_context=context) as pool:
@@ -81,7 +83,7 @@ def run_batches(
             for future in concurrent.futures.as_completed(waiting):
                 future.result()
                 done += 1
-                progress(done, len(jobs), waiting[future])
+                progress(done, len(jobs), left(waiting[future]))
     batches = [_read(file) for file in files]
     minutes = (time.monotonic() - began_s) / 60
     if len(missing) < len(jobs):
@@ -89,9 +91,9 @@ def run_batches(
     return batches, Effort(minutes, sum(float(batch["cpu_s"]) for batch in batches) / 60)
 
 
-def _digest_of_sources() -> str:
-    root = pathlib.Path(__file__).parent.parent
-    files = [file for name in MADE_BY for file in sorted(root.glob(name))]
+def _digest_of_sources(made_by: Sequence[str]) -> str:
+    root = pathlib.Path(__file__).parent
+    files = [file for name in made_by for file in sorted(root.glob(name))]
     return digest_of([[file.relative_to(root).as_posix(), sha256_of_file(file)] for file in files])
 
 

@@ -1,0 +1,71 @@
+"""Thousands of executed motions, and what they say about delta."""
+
+import pathlib
+
+import dagster as dg
+
+from assets.config import configurable
+from assets.interfaces import Store
+from assets.progress import progress_of
+from assets.reporting import Metadata, inline_picture
+from deltasafe import presets
+
+PRESET = presets.active()
+GROUP = "safety_study"
+OWNERS = ["team:motion"]
+
+StudyConfig = configurable(PRESET.safety_study)
+
+
+class TrialsConfig(dg.Config):
+    """`scenes` are folders of scene folders, none for the packaged ones; `n_scenes` (0: all) are taken of each.
+
+    `ensemble` is the folder of a frozen one; empty for the home's.
+    """
+
+    study: StudyConfig = StudyConfig()
+    scenes: list[str] = []  # noqa: RUF012 - pydantic copies it
+    n_scenes: int = PRESET.n_scenes
+    ensemble: str = ""
+    workers: int = 2
+
+
+@dg.asset(
+    group_name=GROUP, owners=OWNERS, kinds={"bullet", "numba", "pytorch"}, code_version="1", deps=["frozen_ensemble"]
+)
+def safety_trials(
+    context: dg.AssetExecutionContext, config: TrialsConfig, store: dg.ResourceParam[Store]
+) -> dg.Output[pathlib.Path]:
+    """Motions planned and executed: ours, single members, no schedule, the compared methods, at every delta."""
+    from deltasafe.safety_study import StudyInputs, run_study
+
+    folders = config.scenes or [str(store.dataset("", "scenes")[0])]
+    inputs = StudyInputs.gather(
+        folders, config.ensemble or context.load_asset_value(dg.AssetKey("frozen_ensemble")), config.n_scenes
+    )
+    batches = store.folder("safety_trials", "batches")
+    found = run_study(config.study.settings(), inputs, batches, config.workers, progress_of(context))
+    folder = store.folder("safety_trials", context.run_id[:8])
+    found.save(folder)
+    metadata = {"executed": int(found.executed.sum()), "trials": len(found.executed), "minutes": found.effort.minutes}
+    return dg.Output(folder, metadata=metadata)
+
+
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1")
+def safety_study_report(
+    context: dg.AssetExecutionContext, safety_trials: pathlib.Path, store: dg.ResourceParam[Store]
+) -> dg.Output[pathlib.Path]:
+    """Rates of violation with exact intervals, clearances, comparisons; failures are listed and filmed."""
+    from deltasafe.safety_study import SafetyStudy, write_safety_study
+
+    folder = store.folder("safety_study_report", context.run_id[:8])
+    figures = write_safety_study(SafetyStudy.load(safety_trials), folder, progress_of(context, every_s=2.0))
+    films = [inline_picture(film) for film in sorted(folder.glob("*.gif"))[:1]]
+    metadata: Metadata = {
+        "report": dg.MetadataValue.md((folder / "report.md").read_text(encoding="utf-8")),
+        **{name: inline_picture(folder / f"{name}.png") for name in ("rates", "clearances", "speed")},
+        **({"first failure": films[0]} if films else {}),
+        **figures,
+        "folder": str(folder),
+    }
+    return dg.Output(folder, metadata=metadata)

@@ -1,0 +1,23 @@
+"""A compared method inside what the camera sees: its own test of obstacles, and ours of table and border alone."""
+
+from typing import NamedTuple
+
+from deltasafe.compiling import compiled
+from deltasafe.planning.baselines.checks import GaussianTest
+from deltasafe.planning.checks import SegmentTest
+from deltasafe.planning.constraint import answers_segments, segment_is_safe
+
+__all__ = ["GaussianTestInView"]
+
+
+class GaussianTestInView(NamedTuple):
+    """Both tests must pass. ``view`` is of a field in which only what the camera does not see is occupied."""
+
+    obstacles: GaussianTest
+    view: SegmentTest
+
+
+@answers_segments(GaussianTestInView)
+@compiled
+def _segment(test, start, end):  # type: ignore[no-untyped-def]
+    return segment_is_safe(test.view, start, end) and segment_is_safe(test.obstacles, start, end)

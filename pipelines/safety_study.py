@@ -1,0 +1,148 @@
+"""`make safety-study`: thousands of executed motions as one Dagster run; finished situations are found again."""
+
+import argparse
+import os
+import pathlib
+import sys
+from typing import Any
+
+from deltasafe.errors import DeltasafeError
+from deltasafe.presets import VARIABLE
+from deltasafe.storage import atomic_folder, read_json, write_json
+from pipelines.home import prepare_home
+
+__all__ = ["main"]
+
+
+def safety_study():  # type: ignore[no-untyped-def]
+    """The job, found again by name in the processes of its steps."""
+    from pipelines.definitions import defs
+
+    return defs().resolve_job_def("safety_study")
+
+
+def main() -> int:
+    """Run the job, or film one trial of the last run; 0 if every step passed, 1 otherwise."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.safety_study", description=__doc__)
+    parser.add_argument("--record", type=pathlib.Path, help="also merge the figures into this file (docs/results/...)")
+    parser.add_argument("--scenes", type=pathlib.Path, nargs="+", metavar="DIR", help="folders of scenes; the packaged")
+    parser.add_argument("--executions", type=int, help="motions to execute at least")
+    parser.add_argument("--ensemble", type=pathlib.Path, metavar="DIR", help="a frozen ensemble; the home's by default")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one a core by default")
+    parser.add_argument("--film", type=int, metavar="TRIAL", help="only film this trial of the last run")
+    options = parser.parse_args()
+    root = prepare_home()
+    if options.film is not None:
+        return _film(root, options.film)
+    print(f"Everything that is made goes to {root}", flush=True)
+
+    import dagster as dg
+
+    trials: dict[str, Any] = {"workers": options.workers}
+    if options.executions is not None:
+        trials["study"] = {"n_executions": options.executions}
+    if options.scenes:
+        trials["scenes"] = [str(folder.expanduser().resolve()) for folder in options.scenes]
+    if options.ensemble:
+        trials["ensemble"] = str(options.ensemble.expanduser().resolve())
+    config = {"loggers": {"console": {"config": {}}}, "ops": {"safety_trials": {"config": trials}}}
+    with dg.DagsterInstance.get() as instance:
+        if not dg.execute_job(dg.reconstructable(safety_study), instance=instance, run_config=config).success:
+            print(
+                "\nThe run failed. `make safety-study` goes on with what is finished; `make ui` shows the failed step."
+            )
+            return 1
+    folder = _made(root, "safety_study_report")
+    figures = read_json(folder / "figures.json")
+    _print_summary(folder, figures)
+    if options.record:
+        _record(options, figures, folder)
+    return 0
+
+
+def _made(root: pathlib.Path, asset: str) -> pathlib.Path:
+    import dagster as dg
+
+    from pipelines.io import FolderPointers
+
+    return FolderPointers(home=str(root)).folder(dg.AssetKey(asset))
+
+
+def _film(root: pathlib.Path, trial: int) -> int:
+    from deltasafe.execution import save_film
+    from deltasafe.safety_study import SafetyStudy, replay
+
+    try:
+        study = SafetyStudy.load(_made(root, "safety_trials"))
+        eyes = study.inputs.eyes
+        assert eyes is not None
+        scene, execution = replay(study.settings, study.inputs.scenes, eyes, trial)
+        film = pathlib.Path(f"trial-{trial}.gif")
+        save_film(film, execution, scene.camera, scene.true_mesh(), table_z_m=scene.table_z_m)
+    except DeltasafeError as error:
+        print(f"safety_study: {error}", file=sys.stderr)
+        return 1
+    print(film)
+    return 0
+
+
+def _record(options: argparse.Namespace, figures: dict[str, float], folder: pathlib.Path) -> None:
+    """Merge into the record: figures that others put there stay; the report lies beside it, pictures reduced."""
+    from PIL import Image
+
+    from pipelines.provenance import commit, machine
+
+    destination: pathlib.Path = options.record
+    earlier = read_json(destination) if destination.is_file() else {}
+    parts = earlier.get("parts", {})
+    replaced = parts.get("safety_study", {}).get("figures", {})
+    kept = {name: value for name, value in earlier.get("figures", {}).items() if name not in replaced}
+    study = read_json(folder / "study.json")
+    preset = os.environ.get(VARIABLE) or "default"
+    given = [] if preset == "default" else [f"{VARIABLE}={preset}"]
+    given += ["python -m pipelines.safety_study"]
+    given += ["--scenes", *(folder.name for folder in options.scenes)] if options.scenes else []
+    given += ["--executions", str(options.executions)] if options.executions is not None else []
+    part = {
+        "figures": figures,
+        "command": " ".join(given),
+        "commit": commit(),
+        "seeds": {"situations": study["settings"]["seed"]},
+        "machine": machine(),
+        "ensemble": pathlib.Path(study["ensemble"]).name,
+        "settings": study["settings"],
+    }
+    parts = {**parts, "safety_study": part}
+    write_json(
+        destination,
+        {
+            **earlier,
+            "figures": kept | figures,
+            "command": "; ".join(each["command"] for _, each in sorted(parts.items())),
+            "commit": part["commit"],
+            "machine": part["machine"],
+            "seeds": {name: each["seeds"] for name, each in parts.items()},
+            "parts": parts,
+        },
+    )
+    with atomic_folder(destination.parent / "safety_study") as temporary:
+        (temporary / "report.md").write_text((folder / "report.md").read_text(encoding="utf-8"), encoding="utf-8")
+        for picture in sorted(folder.glob("*.png")):
+            with Image.open(picture) as opened:
+                reduced = opened.convert("RGB").quantize(128, dither=Image.Dither.NONE)
+            reduced.save(temporary / picture.name, optimize=True)
+        for film in sorted(folder.glob("*.gif")):
+            (temporary / film.name).write_bytes(film.read_bytes())
+
+
+def _print_summary(folder: pathlib.Path, figures: dict[str, float]) -> None:
+    print(f"\n{figures['executions']:.0f} motions executed in {figures['minutes']:.1f} minutes ", end="")
+    print(f"({figures.get('realtime_factor', 0.0):.1f} times as fast as the arm), {figures['failures']:.0f} failures\n")
+    for name in sorted(figures):
+        if name.startswith(("violation_upper95", "joint_", "contacts")):
+            print(f"  {name:40s} {figures[name]:g}")
+    print(f"\n  report  {folder / 'report.md'}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
