@@ -2,7 +2,7 @@
 
 import pathlib
 
-__all__ = ["ArtifactError", "DataError", "DeltasafeError", "PlanningError", "SettingsError"]
+__all__ = ["ArtifactError", "DataError", "DeltasafeError", "PlanningError", "SettingsError", "StaleImageError"]
 
 
 class DeltasafeError(Exception):
@@ -36,3 +36,7 @@ class ArtifactError(DataError):
 
 class PlanningError(DeltasafeError, ValueError):
     """A path or trajectory cannot be made safe; the message names the place."""
+
+
+class StaleImageError(DeltasafeError, RuntimeError):
+    """The image that a motion was planned from no longer shows the scene, or may not; take a new one and plan again."""

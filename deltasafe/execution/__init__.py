@@ -2,12 +2,16 @@
 
 from deltasafe.execution.arm import Arm, ArmState, Dynamics, FloatingTool
 from deltasafe.execution.distance import MeshDistance
+from deltasafe.execution.disturbances import Disturbance, Payload, Push
+from deltasafe.execution.dynamics import ChainModel
 from deltasafe.execution.film import FilmSettings, film_frames, save_film
 from deltasafe.execution.impedance import ImpedanceSettings, TaskReference, impedance_torques
 from deltasafe.execution.kinematics import IIWA14_LIMITS, ArmMount, IiwaKinematics, JointLimits
+from deltasafe.execution.monitor import CameraWatch
 from deltasafe.execution.recording import PHASES, Execution
 from deltasafe.execution.safety import SafetyVerdict, SpeedBin, body_points, judge
-from deltasafe.execution.simulate import ExecutionSettings, execute, iiwa_for
+from deltasafe.execution.settings import ExecutionSettings
+from deltasafe.execution.simulate import execute, iiwa_for
 
 __all__ = [
     "IIWA14_LIMITS",
@@ -15,6 +19,9 @@ __all__ = [
     "Arm",
     "ArmMount",
     "ArmState",
+    "CameraWatch",
+    "ChainModel",
+    "Disturbance",
     "Dynamics",
     "Execution",
     "ExecutionSettings",
@@ -24,6 +31,8 @@ __all__ = [
     "ImpedanceSettings",
     "JointLimits",
     "MeshDistance",
+    "Payload",
+    "Push",
     "SafetyVerdict",
     "SpeedBin",
     "TaskReference",

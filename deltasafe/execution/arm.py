@@ -74,6 +74,9 @@ class Arm(Protocol):
     def step(self, torques_nm: Array) -> int:
         """Apply joint torques (n,) for one control period; number of contacts with hand or table in it."""
 
+    def brake(self) -> None:
+        """Close the joints' brakes: torques are ignored from now on, until the next reset."""
+
     def link_points_m(self) -> Array:
         """(P, 3) points on the surface of the links above the tool."""
 
@@ -89,6 +92,7 @@ class FloatingTool:
         self.limits = JointLimits((10.0,) * 6, (10.0,) * 6, (100.0,) * 6)
         self._drag = drag_ns_per_m
         self._q, self._q_dot = np.zeros(6), np.zeros(6)
+        self._braked = False
 
     def __enter__(self) -> Self:
         return self
@@ -101,6 +105,7 @@ class FloatingTool:
 
     def reset(self, joint_positions_rad: Array) -> None:
         self._q, self._q_dot = np.array(joint_positions_rad, dtype=np.float64), np.zeros(6)
+        self._braked = False
 
     def state(self) -> ArmState:
         half = self._q[5] / 2
@@ -113,9 +118,14 @@ class FloatingTool:
     def step(self, torques_nm: Array) -> int:
         acceleration = np.asarray(torques_nm) - self._drag * self._q_dot
         acceleration[3:5] = 0.0
+        if self._braked:
+            acceleration = -self._q_dot / self.control_period_s
         self._q_dot = self._q_dot + self.control_period_s * acceleration
         self._q = self._q + self.control_period_s * self._q_dot
         return 0
+
+    def brake(self) -> None:
+        self._braked = True
 
     def link_points_m(self) -> Array:
         return np.zeros((0, 3))

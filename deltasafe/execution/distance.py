@@ -20,7 +20,8 @@ __all__ = ["MeshDistance"]
 Array = NDArray[np.float64]
 
 _PROJECTIONS = 400
-_CELL_M = 0.02
+_CELL_M = 0.015
+_CELLS_IN_BLOCK = 4
 _TOUCHING_M = 1e-5
 
 
@@ -45,51 +46,68 @@ class MeshDistance:
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise SettingsError(f"triangles index vertices 0 to {faces.max()}, there are {len(vertices)}")
         corners = vertices[faces]
-        # triangles in cells, each inside a sphere, so that whole cells are ruled out at once
-        _, cell = np.unique(np.floor(corners.mean(axis=1) / _CELL_M), axis=0, return_inverse=True)
+        # triangles in cells and cells in blocks, each inside a sphere, so that many are ruled out at once
+        middles = corners.mean(axis=1)
+        block = np.floor(middles / (_CELLS_IN_BLOCK * _CELL_M))
+        keys, cell = np.unique(np.hstack([block, np.floor(middles / _CELL_M)]), axis=0, return_inverse=True)
         corners = np.ascontiguousarray(corners[np.argsort(cell.ravel(), kind="stable")])
         centres = corners.mean(axis=1)
         radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
         starts = np.concatenate([[0], np.cumsum(np.bincount(cell.ravel()))])
-        cells = [slice(*ends) for ends in itertools.pairwise(starts)]
-        hubs = np.array([centres[c].mean(axis=0) for c in cells])
-        spans = np.array([np.linalg.norm(corners[c] - hub, axis=2).max() for c, hub in zip(cells, hubs, strict=True)])
-        self._mesh = (corners, centres, radii, starts, hubs, spans)
+        _, cells_of_block = np.unique(keys[:, :3], axis=0, return_counts=True)
+        cells = np.concatenate([[0], np.cumsum(cells_of_block)])
+        self._mesh = (corners, centres, radii, starts, *_spheres(corners, starts), cells)
+        self._blocks = _spheres(corners, starts[cells])
         self._lowest, self._highest = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
-    def to_points(self, points_m: Array) -> float:
-        """Distance in metres from the nearest of (P, 3) points to the mesh; infinite without points."""
+    def to_points(self, points_m: Array, at_most_m: float = math.inf) -> float:
+        """Distance in metres from the nearest of (P, 3) points to the mesh; infinite without points.
+
+        Args:
+            at_most_m: what it surely does not exceed; nothing farther away is looked at.
+        """
         points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
         beside = np.maximum(np.maximum(self._lowest - points, points - self._highest), 0.0)
         bounds = np.linalg.norm(beside, axis=1)
         order = np.argsort(bounds)
-        return float(_points_distance(points[order], bounds[order], *self._mesh))
+        return float(_points_distance(points[order], bounds[order], *self._mesh, *self._blocks, at_most_m))
 
-    def to_tool(self, body: ToolBody, position_m: Array, rotation: Array) -> float:
+    def to_tool(self, body: ToolBody, position_m: Array, rotation: Array, at_most_m: float = math.inf) -> float:
         """Distance in metres from the tool at a pose to the mesh's surface, 0 where they touch or cross.
 
         Args:
             body: the tool.
             position_m: (3,) centre of the disc.
             rotation: (3, 3) world from tool.
+            at_most_m: what it surely does not exceed; nothing farther away is looked at.
         """
         disc = (body.semi_axis_x_m, body.semi_axis_y_m, -body.thickness_m / 2, body.thickness_m / 2)
         shaft = (body.shaft_radius_m, body.shaft_radius_m, 0.0, body.shaft_length_m)
-        best = math.inf
+        best = at_most_m
         for solid in (disc, shaft):
-            best = _solid_distance(np.array(solid), *self._mesh, position_m, rotation, best)
+            best = _solid_distance(np.array(solid), *self._mesh, *self._blocks, position_m, rotation, best)
         return best if best > _TOUCHING_M else 0.0
 
 
+def _spheres(corners: Array, starts: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Centres (n, 3) and radii (n,) of spheres around triangles ``starts[n]`` up to ``starts[n + 1]``."""
+    parts = [corners[begin:end].reshape(-1, 3) for begin, end in itertools.pairwise(starts)]
+    hubs = np.array([part.mean(axis=0) for part in parts])
+    return hubs, np.array([np.linalg.norm(part - hub, axis=1).max() for part, hub in zip(parts, hubs, strict=True)])
+
+
 @numba.njit(cache=True)
-def _points_distance(points, bounds, corners, centres, radii, starts, hubs, spans):  # type: ignore[no-untyped-def]  # pragma: no cover
-    best = np.inf
+def _points_distance(points, bounds, corners, centres, radii, starts, hubs, spans, cells, tops, reaches, best):  # type: ignore[no-untyped-def]  # pragma: no cover
     for i in range(len(points)):
         if bounds[i] >= best:
             break
         p = (points[i, 0], points[i, 1], points[i, 2])
-        for h in range(len(hubs)):
-            if _gap(p, hubs[h]) - spans[h] < best:
+        for block in range(len(tops)):
+            if _gap(p, tops[block]) - reaches[block] >= best:
+                continue
+            for h in range(cells[block], cells[block + 1]):
+                if _gap(p, hubs[h]) - spans[h] >= best:
+                    continue
                 for t in range(starts[h], starts[h + 1]):
                     if _gap(p, centres[t]) - radii[t] < best:
                         best = min(best, _gap(p, _on_triangle(p, corners[t])))
@@ -97,37 +115,53 @@ def _points_distance(points, bounds, corners, centres, radii, starts, hubs, span
 
 
 @numba.njit(cache=True)
-def _solid_distance(solid, corners, centres, radii, starts, hubs, spans, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _solid_distance(  # type: ignore[no-untyped-def]  # pragma: no cover
+    solid, corners, centres, radii, starts, hubs, spans, cells, tops, reaches, position, rotation, best
+):
     """Smallest of ``best`` and the distance of an upright elliptic cylinder (a, b, bottom, top) to triangles."""
-    a, b, bottom, top = solid
-    bounds = np.empty(len(hubs))
-    for h in range(len(hubs)):
-        hub = _to_frame(hubs[h], position, rotation)
-        bounds[h] = _gap(_in_solid(hub[0], hub[1], hub[2], a, b, bottom, top), hub) - spans[h]
-    triangle = np.empty((3, 3))
-    for h in np.argsort(bounds):
-        if bounds[h] >= best:
+    bounds = np.empty(len(tops))
+    for block in range(len(tops)):
+        bounds[block] = _to_solid(solid, tops[block], position, rotation) - reaches[block]
+    for block in np.argsort(bounds):
+        if bounds[block] >= best:
             break
-        for i in range(starts[h], starts[h + 1]):
-            x, y, z = _to_frame(centres[i], position, rotation)
-            flat = max(math.sqrt(x * x + y * y) - max(a, b), 0.0)
-            high = max(z - top, bottom - z, 0.0)
-            if math.sqrt(flat * flat + high * high) - radii[i] >= best:
+        for h in range(cells[block], cells[block + 1]):
+            if _to_solid(solid, hubs[h], position, rotation) - spans[h] >= best:
                 continue
-            if _gap(_in_solid(x, y, z, a, b, bottom, top), (x, y, z)) - radii[i] >= best:
-                continue
-            for corner in range(3):
-                triangle[corner] = _to_frame(corners[i, corner], position, rotation)
-            last = np.inf
-            for _ in range(_PROJECTIONS):
-                inside = _in_solid(x, y, z, a, b, bottom, top)
-                x, y, z = _on_triangle(inside, triangle)
-                gap = _gap(inside, (x, y, z))
-                if gap < _TOUCHING_M or last - gap < 1e-8:
-                    break
-                last = gap
-            best = min(best, gap)
+            for i in range(starts[h], starts[h + 1]):
+                best = _to_triangle(solid, corners[i], centres[i], radii[i], position, rotation, best)
     return best
+
+
+@numba.njit(cache=True)
+def _to_solid(solid, point, position, rotation):  # type: ignore[no-untyped-def]  # pragma: no cover
+    x, y, z = _to_frame(point, position, rotation)
+    return _gap(_in_solid(x, y, z, solid[0], solid[1], solid[2], solid[3]), (x, y, z))
+
+
+@numba.njit(cache=True)
+def _to_triangle(solid, corners, centre, radius, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+    a, b, bottom, top = solid
+    x, y, z = _to_frame(centre, position, rotation)
+    flat = max(math.sqrt(x * x + y * y) - max(a, b), 0.0)
+    high = max(z - top, bottom - z, 0.0)
+    if math.sqrt(flat * flat + high * high) - radius >= best:
+        return best
+    if _gap(_in_solid(x, y, z, a, b, bottom, top), (x, y, z)) - radius >= best:
+        return best
+    triangle = np.empty((3, 3))
+    for corner in range(3):
+        triangle[corner] = _to_frame(corners[corner], position, rotation)
+    last = np.inf
+    gap = np.inf
+    for _ in range(_PROJECTIONS):
+        inside = _in_solid(x, y, z, a, b, bottom, top)
+        x, y, z = _on_triangle(inside, triangle)
+        gap = _gap(inside, (x, y, z))
+        if gap < _TOUCHING_M or last - gap < 1e-8:
+            break
+        last = gap
+    return min(best, gap)
 
 
 @numba.njit(cache=True)

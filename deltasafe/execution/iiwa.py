@@ -21,7 +21,7 @@ import pathlib
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -29,6 +29,9 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution.arm import ArmState, Dynamics
+from deltasafe.execution.disturbances import Disturbance, Payload, Push
+from deltasafe.execution.dynamics import ChainModel, placed_tool, rigid_body
+from deltasafe.execution.iiwa_urdf import add_payload, iiwa_with_tool
 from deltasafe.execution.kinematics import IIWA14_LIMITS, ArmMount, IiwaKinematics, JointLimits
 from deltasafe.planning.body import ToolBody
 
@@ -38,14 +41,11 @@ Array = NDArray[np.float64]
 
 JOINTS = tuple(range(7))
 TOOL_LINK = 7
-FLANGE_IN_LINK_7_M = 0.045
 MARGIN_M = 1e-4
-TOOL_DENSITY_KGPM3 = 1200.0  # printed plastic
+GRAVITY_MPS2 = (0.0, 0.0, -9.81)
 SKIN_RGBA = (0.85, 0.62, 0.50, 1.0)
 TABLE_RGBA = (0.72, 0.70, 0.66, 1.0)
 PEDESTAL_RGBA = (0.35, 0.37, 0.40, 1.0)
-TOOL_RGBA = (0.05, 0.50, 0.42, 1.0)
-LINK_RGBA = (0.82, 0.83, 0.85, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,6 +84,10 @@ class World:
         mount: where the arm stands.
         table_z_m: height of the table.
         mesh: the hand's (vertices_m (V, 3), triangles (F, 3)) or None.
+        payload_kg: a mass at the flange that ``model`` does not know of.
+
+    Attributes:
+        model: the arm with its tool, as its controller knows it.
     """
 
     def __init__(
@@ -92,6 +96,7 @@ class World:
         mount: ArmMount,
         table_z_m: float = 0.0,
         mesh: tuple[NDArray[Any], NDArray[Any]] | None = None,
+        payload_kg: float = 0.0,
     ) -> None:
         with _quiet():
             import pybullet
@@ -103,7 +108,7 @@ class World:
                 raise RuntimeError("PyBullet offers no further physics client: close arms that are not in use")
             try:
                 meshes = pathlib.Path(pybullet_data.getDataPath()) / "kuka_iiwa"
-                self._build(meshes, body, mount, table_z_m, mesh)
+                self._build(meshes, body, mount, table_z_m, mesh, payload_kg)
             except BaseException:
                 pybullet.disconnect(self.client)
                 raise
@@ -128,14 +133,21 @@ class World:
         mount: ArmMount,
         table_z_m: float,
         mesh: tuple[NDArray[Any], NDArray[Any]] | None,
+        payload_kg: float,
     ) -> None:
         p, client = self.bullet, self.client
-        p.setGravity(0, 0, -9.81, physicsClientId=client)
+        p.setGravity(*GRAVITY_MPS2, physicsClientId=client)
+        base_m = np.array([mount.base_x_m, mount.base_y_m, mount.base_z_m])
         with tempfile.TemporaryDirectory(prefix="deltasafe-iiwa-") as folder:
-            urdf = _write_urdf(pathlib.Path(folder), kuka, body)
+            robot = iiwa_with_tool(pathlib.Path(folder), kuka, body)
+            self.model = ChainModel.from_urdf(robot, _yaw_matrix(mount.base_yaw_rad), base_m, GRAVITY_MPS2)
+            if payload_kg > 0:
+                add_payload(robot, payload_kg)
+            urdf = pathlib.Path(folder) / "iiwa14.urdf"
+            ET.ElementTree(robot).write(urdf)
             self.arm = p.loadURDF(
                 str(urdf),
-                (mount.base_x_m, mount.base_y_m, mount.base_z_m),
+                base_m.tolist(),
                 p.getQuaternionFromEuler((0, 0, mount.base_yaw_rad)),
                 useFixedBase=True,
                 flags=p.URDF_USE_INERTIA_FROM_FILE,
@@ -178,7 +190,14 @@ class World:
 
 
 class IiwaArm:
-    """An ``Arm`` at 1 kHz torque control. A fresh world each time makes a run a function of its seed."""
+    """An ``Arm`` at 1 kHz torque control. A fresh world each time makes a run a function of its seed.
+
+    Args:
+        body, mesh, table_z_m: of the world.
+        mount: where the arm stands, beside the table if None.
+        friction: of its joints; each seed draws its own.
+        disturbances: what happens to the arm without its controller's knowledge; times count from the last reset.
+    """
 
     control_period_s = 1e-3
 
@@ -191,10 +210,14 @@ class IiwaArm:
         friction: JointFriction | None = None,
         table_z_m: float = 0.0,
         seed: int = 0,
+        disturbances: Sequence[Disturbance] = (),
     ) -> None:
         mount, friction = mount or ArmMount.beside(table_z_m), friction or JointFriction()
         self.kinematics = IiwaKinematics(mount, body.shaft_length_m)
-        self._world = World(body, mount, table_z_m, mesh)
+        self._pushes = [each for each in disturbances if isinstance(each, Push)]
+        payload_kg = sum(each.mass_kg for each in disturbances if isinstance(each, Payload))
+        self._world = World(body, mount, table_z_m, mesh, payload_kg)
+        self._model = self._world.model
         self._bullet, self._client, self._arm = self._world.bullet, self._world.client, self._world.arm
         rng = np.random.default_rng(seed)
         spread = 1 + friction.variation * rng.uniform(-1, 1, size=(2, len(JOINTS)))
@@ -202,6 +225,8 @@ class IiwaArm:
         self._viscous_nms = np.array(friction.viscous_nms) * spread[1]
         self._gain = 1 + friction.torque_gain_sd * rng.standard_normal(len(JOINTS))
         self._links = _link_surfaces(self._bullet, self._client, self._arm)
+        self._torque_limit_nm = np.array(self.limits.torque_nm)
+        self._steps, self._braked = 0, False
         self._configure()
 
     @property
@@ -219,41 +244,42 @@ class IiwaArm:
 
     def reset(self, joint_positions_rad: Array) -> None:
         self._world.place(joint_positions_rad)
+        self._steps = 0
+        if self._braked:
+            self._hold_joints(self._coulomb_nm)
+            self._braked = False
 
     def state(self) -> ArmState:
         joints = self._bullet.getJointStates(self._arm, JOINTS, physicsClientId=self._client)
-        tool = self._bullet.getLinkState(self._arm, TOOL_LINK, computeForwardKinematics=1, physicsClientId=self._client)
-        return ArmState(
-            np.array([joint[0] for joint in joints]),
-            np.array([joint[1] for joint in joints]),
-            np.array(tool[4]),
-            np.array(tool[5]),
-        )
+        q = np.array([joint[0] for joint in joints])
+        return ArmState(q, np.array([joint[1] for joint in joints]), *placed_tool(self._model, q))
 
     def dynamics(self, state: ArmState) -> Dynamics:
-        q, q_dot = state.joint_positions_rad, state.joint_velocities_radps
-        positions = q.tolist()
-        mass = self._bullet.calculateMassMatrix(self._arm, positions, physicsClientId=self._client)
-        bias = self._bullet.calculateInverseDynamics(
-            self._arm, positions, q_dot.tolist(), [0.0] * len(JOINTS), physicsClientId=self._client
-        )
-        jacobian, drift = self.kinematics.differential(q, q_dot)
-        return Dynamics(np.array(mass), np.array(bias), jacobian, drift)
+        return Dynamics(*rigid_body(self._model, state.joint_positions_rad, state.joint_velocities_radps))
 
     def step(self, torques_nm: Array) -> int:
-        limit = np.array(self.limits.torque_nm)
-        torques = self._gain * np.clip(torques_nm, -limit, limit)
+        limit = self._torque_limit_nm
+        torques = self._gain * np.minimum(np.maximum(torques_nm, -limit), limit)
+        if self._braked:
+            torques = np.zeros_like(torques)
         p, client = self._bullet, self._client
         p.setJointMotorControlArray(
             self._arm, JOINTS, p.TORQUE_CONTROL, forces=torques.tolist(), physicsClientId=client
         )
+        self._push(self._steps * self.control_period_s)
         p.stepSimulation(physicsClientId=client)
+        self._steps += 1
         contacts = 0
         for other in (self._world.hand, self._world.table):
             if other is not None:
                 points = p.getContactPoints(self._arm, other, physicsClientId=client)
                 contacts += sum(point[8] <= 0.0 for point in points)
         return contacts
+
+    def brake(self) -> None:
+        if not self._braked:
+            self._hold_joints(self._torque_limit_nm)
+            self._braked = True
 
     def link_points_m(self) -> Array:
         frames = self._bullet.getLinkStates(
@@ -272,85 +298,34 @@ class IiwaArm:
         p.changeDynamics(self._arm, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
         for joint in JOINTS:
             p.changeDynamics(self._arm, joint, jointDamping=float(self._viscous_nms[joint]), physicsClientId=client)
-            # PyBullet's velocity motor at target 0 with a small force is dry friction, solved implicitly
+        self._hold_joints(self._coulomb_nm)
+
+    def _hold_joints(self, torques_nm: Array) -> None:
+        """PyBullet's velocity motor at target 0 is dry friction, or a brake, solved implicitly."""
+        p = self._bullet
+        for joint in JOINTS:
             p.setJointMotorControl2(
                 self._arm,
                 joint,
                 p.VELOCITY_CONTROL,
                 targetVelocity=0.0,
-                force=float(self._coulomb_nm[joint]),
-                physicsClientId=client,
+                force=float(torques_nm[joint]),
+                physicsClientId=self._client,
             )
 
-
-def _write_urdf(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> pathlib.Path:
-    """PyBullet's iiwa with real limits, absolute meshes and the tool as an eighth link."""
-    tree = ET.parse(kuka / "model.urdf")
-    robot = tree.getroot()
-    for mesh in robot.iter("mesh"):
-        mesh.set("filename", str(kuka / str(mesh.get("filename"))))
-    for colour in robot.findall("material[@name='Blue']/color"):
-        colour.set("rgba", " ".join(map(str, LINK_RGBA)))
-    for index, joint in enumerate(robot.findall("joint")):
-        limit = joint.find("limit")
-        assert limit is not None
-        reach = IIWA14_LIMITS.position_rad[index]
-        limit.set("lower", repr(-reach))
-        limit.set("upper", repr(reach))
-        limit.set("effort", repr(IIWA14_LIMITS.torque_nm[index]))
-        limit.set("velocity", repr(IIWA14_LIMITS.velocity_radps[index]))
-    disc = folder / "disc.obj"
-    disc.write_text(_elliptic_cylinder(body), encoding="utf-8")
-    half = body.thickness_m / 2
-    shaft_m = body.shaft_length_m - half
-    shaft_kg = TOOL_DENSITY_KGPM3 * math.pi * body.shaft_radius_m**2 * shaft_m
-    disc_kg = TOOL_DENSITY_KGPM3 * math.pi * body.semi_axis_x_m * body.semi_axis_y_m * body.thickness_m
-    mass = shaft_kg + disc_kg
-    height = shaft_kg * (half + shaft_m / 2) / mass
-    across = (
-        shaft_kg * (shaft_m**2 / 12 + (half + shaft_m / 2 - height) ** 2)
-        + disc_kg * height**2
-        + disc_kg * body.rho_max_m**2 / 4
-    )
-    about = (shaft_kg * body.shaft_radius_m**2) / 2 + disc_kg * (body.semi_axis_x_m**2 + body.semi_axis_y_m**2) / 4
-    shapes = ""
-    for kind in ("visual", "collision"):
-        paint = f'<material name="Tool"><color rgba="{" ".join(map(str, TOOL_RGBA))}"/></material>'
-        paint = paint if kind == "visual" else ""
-        shapes += (
-            f'<{kind}><geometry><mesh filename="{disc}"/></geometry>{paint}</{kind}>'
-            f'<{kind}><origin xyz="0 0 {half + shaft_m / 2!r}"/><geometry>'
-            f'<cylinder radius="{body.shaft_radius_m!r}" length="{shaft_m!r}"/></geometry>{paint}</{kind}>'
-        )
-    robot.append(
-        ET.fromstring(
-            f'<link name="tool"><inertial><origin xyz="0 0 {height!r}"/><mass value="{mass!r}"/>'
-            f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{about!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
-            f"{shapes}</link>"
-        )
-    )
-    robot.append(
-        ET.fromstring(
-            '<joint name="tool_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="tool"/>'
-            f'<origin xyz="0 0 {FLANGE_IN_LINK_7_M + body.shaft_length_m!r}" rpy="{math.pi!r} 0 0"/></joint>'
-        )
-    )
-    path = folder / "iiwa14.urdf"
-    tree.write(path)
-    return path
+    def _push(self, time_s: float) -> None:
+        for push in self._pushes:
+            if push.start_s <= time_s < push.start_s + push.duration_s:
+                p = self._bullet
+                centre = p.getLinkState(self._arm, push.link - 1, physicsClientId=self._client)[0]
+                p.applyExternalForce(
+                    self._arm, push.link - 1, push.force_n, centre, p.WORLD_FRAME, physicsClientId=self._client
+                )
 
 
-def _elliptic_cylinder(body: ToolBody, corners: int = 64) -> str:
-    """Wavefront text of the disc: a convex prism inscribed in the elliptic cylinder."""
-    angles = 2 * np.pi * np.arange(corners) / corners
-    rim = np.stack([body.semi_axis_x_m * np.cos(angles), body.semi_axis_y_m * np.sin(angles)], axis=1)
-    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for z in (-body.thickness_m / 2, body.thickness_m / 2) for x, y in rim]
-    for i in range(1, corners + 1):
-        j = i % corners + 1
-        lines += [f"f {i} {j} {j + corners}", f"f {i} {j + corners} {i + corners}"]
-    for i in range(2, corners):
-        lines += [f"f 1 {i + 1} {i}", f"f {corners + 1} {corners + i} {corners + i + 1}"]
-    return "\n".join(lines) + "\n"
+def _yaw_matrix(angle_rad: float) -> Array:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _normals(vertices: Array, triangles: NDArray[Any]) -> Array:

@@ -1,4 +1,4 @@
-"""Cartesian impedance control: the tool is held by springs and dampers to a moving reference. Pure numpy.
+"""Cartesian impedance control: the tool is held by springs and dampers to a moving reference. Compiled.
 
     torque = J^T (Λ (a_ref - dJ/dt q') + K e + D e') + bias + N^T torque_posture,
 
@@ -11,13 +11,14 @@ what remains of it makes the tracking error.
 import dataclasses
 import math
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution.arm import ArmState, Dynamics
 
-__all__ = ["ImpedanceSettings", "TaskReference", "impedance_torques", "rotation_error"]
+__all__ = ["ImpedanceSettings", "TaskReference", "impedance_torques", "pose_error", "rotation_error"]
 
 Array = NDArray[np.float64]
 
@@ -68,42 +69,71 @@ def impedance_torques(
     state: ArmState, dynamics: Dynamics, reference: TaskReference, settings: ImpedanceSettings
 ) -> Array:
     """Joint torques (n,) in N m before saturation."""
-    jacobian, mass = dynamics.jacobian, dynamics.mass_matrix
-    spread = np.linalg.solve(mass, jacobian.T)
-    inertia = np.linalg.inv(jacobian @ spread)
-    inertia = (inertia + inertia.T) / 2
-    stiffness = np.repeat([settings.stiffness_npm, settings.rotational_stiffness_nmprad], 3)
-    error = np.concatenate(
-        [
-            reference.position_m - state.tool_position_m,
-            rotation_error(reference.quaternion, state.tool_quaternion),
-        ]
+    return np.asarray(
+        _torques(
+            state.joint_positions_rad,
+            state.joint_velocities_radps,
+            pose_error(reference.position_m, reference.quaternion, state.tool_position_m, state.tool_quaternion),
+            *(dynamics.mass_matrix, dynamics.bias_nm, dynamics.jacobian, dynamics.drift),
+            *(reference.twist, reference.acceleration),
+            *(reference.joint_positions_rad, reference.joint_velocities_radps),
+            settings.stiffness_npm,
+            settings.rotational_stiffness_nmprad,
+            settings.damping_ratio,
+            settings.posture_frequency_radps,
+        )
     )
-    error_rate = reference.twist - jacobian @ state.joint_velocities_radps
-    root = _symmetric_root(inertia) * np.sqrt(stiffness)
-    damping = settings.damping_ratio * (root + root.T)
-    force = inertia @ (reference.acceleration - dynamics.drift) + stiffness * error + damping @ error_rate
-    frequency = settings.posture_frequency_radps
-    posture = mass @ (
-        frequency**2 * (reference.joint_positions_rad - state.joint_positions_rad)
-        + 2 * frequency * (reference.joint_velocities_radps - state.joint_velocities_radps)
-    )
-    hidden = posture - jacobian.T @ (inertia @ (spread.T @ posture))
-    return np.asarray(jacobian.T @ force + dynamics.bias_nm + hidden)
+
+
+@numba.njit(cache=True)
+def pose_error(position_m, quaternion, measured_m, measured_quaternion):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """(6,) what is missing to the reference: metres, then the rotation vector in rad, world frame."""
+    error = np.empty(6)
+    for i in range(3):
+        error[i] = position_m[i] - measured_m[i]
+    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    a, b, c = -measured_quaternion[0], -measured_quaternion[1], -measured_quaternion[2]
+    d = measured_quaternion[3]
+    error[3] = w * a + x * d + y * c - z * b
+    error[4] = w * b - x * c + y * d + z * a
+    error[5] = w * c + x * b - y * a + z * d
+    scalar = w * d - x * a - y * b - z * c
+    length = math.sqrt(error[3] ** 2 + error[4] ** 2 + error[5] ** 2)
+    if length < 1e-12:
+        scale = 2.0 * math.copysign(1.0, scalar)
+    else:
+        scale = 2.0 * math.atan2(math.copysign(length, scalar), abs(scalar)) / length
+    for i in range(3, 6):
+        error[i] *= scale
+    return error
 
 
 def rotation_error(reference: Array, measured: Array) -> Array:
     """(3,) rotation vector in rad that turns ``measured`` into ``reference`` (quaternions x, y, z, w), world frame."""
-    x, y, z, w = reference
-    a, b, c, d = -measured[0], -measured[1], -measured[2], measured[3]
-    vector = np.array([w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a, w * c + x * b - y * a + z * d])
-    scalar = w * d - x * a - y * b - z * c
-    length = math.sqrt(vector @ vector)
-    if length < 1e-12:
-        return 2.0 * math.copysign(1.0, scalar) * vector
-    return np.asarray(vector * (2.0 * math.atan2(math.copysign(length, scalar), abs(scalar)) / length))
+    nowhere = np.zeros(3)
+    return np.asarray(pose_error(nowhere, np.asarray(reference), nowhere, np.asarray(measured))[3:])
 
 
-def _symmetric_root(matrix: Array) -> Array:
-    values, vectors = np.linalg.eigh(matrix)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+@numba.njit(cache=True)
+def _torques(  # type: ignore[no-untyped-def]  # pragma: no cover
+    q, q_dot, error, mass, bias, jacobian, drift, twist, acceleration, q_ref, q_dot_ref, linear, angular, ratio, posture
+):
+    n = len(q)
+    spread = np.linalg.solve(mass, jacobian.T)
+    inertia = np.linalg.inv(jacobian @ spread)
+    inertia = (inertia + inertia.T) / 2
+    values, vectors = np.linalg.eigh(inertia)
+    error_rate = twist - jacobian @ q_dot
+    soft = np.empty(6)
+    for i in range(6):
+        soft[i] = math.sqrt(linear if i < 3 else angular)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    # damping D = ratio (root(inertia) root(stiffness) + its transpose)
+    damping = ratio * (root @ (soft * error_rate) + soft * (root @ error_rate))
+    force = inertia @ (acceleration - drift) + soft * soft * error + damping
+    wanted = np.empty(n)
+    for i in range(n):
+        wanted[i] = posture**2 * (q_ref[i] - q[i]) + 2 * posture * (q_dot_ref[i] - q_dot[i])
+    wanted = mass @ wanted
+    hidden = wanted - jacobian.T @ (inertia @ (spread.T @ wanted))
+    return jacobian.T @ force + bias + hidden

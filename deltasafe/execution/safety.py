@@ -17,6 +17,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.execution.recording import Execution
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.tracking import TrackingBound
+from deltasafe.scene import OccupancyGrid
 
 __all__ = ["OccupancyField", "SafetyVerdict", "SpeedBin", "body_points", "judge"]
 
@@ -172,11 +173,10 @@ def body_points(body: ToolBody, spacing_m: float = 0.0025) -> Array:
 
 def _p_occupied(execution: Execution, grid: OccupancyField, points: Array) -> Array:
     """(N,) largest p_occupied of the tool's points at each measured pose."""
-    largest = np.empty(len(execution.time_s))
-    rotations = execution.tool_rotations
-    for sample, (rotation, position) in enumerate(zip(rotations, execution.tool_positions_m, strict=True)):
-        largest[sample] = np.asarray(grid.at(points @ rotation.T + position)).max()
-    return largest
+    if isinstance(grid, OccupancyGrid):
+        return np.asarray(grid.most_on(points, execution.tool_rotations, execution.tool_positions_m), dtype=np.float64)
+    poses = zip(execution.tool_rotations, execution.tool_positions_m, strict=True)
+    return np.array([np.max(grid.at(points @ rotation.T + position)) for rotation, position in poses])
 
 
 def _by_speed(speed: Array, error: Array, excess: Array) -> list[SpeedBin]:

@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compiling import compiled
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.storage import atomic_file
 
@@ -65,6 +66,17 @@ class OccupancyGrid:
         p_occupied[inside] = self.p_occupied[tuple(index[inside].T)]
         return p_occupied
 
+    def most_on(
+        self, points_m: NDArray[np.float64], rotations: NDArray[np.float64], positions_m: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """(N,) largest p_occupied that the points (P, 3) of a body meet in each of N poses.
+
+        Args:
+            rotations: (N, 3, 3) world from body; positions_m: (N, 3).
+        """
+        arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (points_m, rotations, positions_m))
+        return np.asarray(_most_on(self.p_occupied, self.origin_m, self.voxel_m, *arrays))
+
     def save(self, file: str | pathlib.Path) -> None:
         """Write as a compressed ``.npz``, atomically."""
         file = pathlib.Path(file)
@@ -90,3 +102,23 @@ class OccupancyGrid:
                 return cls(arrays["p_occupied"], arrays["origin_m"], float(arrays["voxel_m"]))
         except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise DataError(file, f"is not an occupancy grid ({error})") from error
+
+
+@compiled
+def _most_on(p_occupied, origin, voxel, points, rotations, positions):  # type: ignore[no-untyped-def]  # pragma: no cover
+    nx, ny, nz = p_occupied.shape
+    most = np.zeros(len(positions), np.float32)
+    for n in range(len(positions)):
+        for m in range(len(points)):
+            x, y, z = points[m, 0], points[m, 1], points[m, 2]
+            r = rotations[n]
+            k = math.floor((positions[n, 2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z - origin[2]) / voxel)
+            if k >= nz:
+                continue
+            i = math.floor((positions[n, 0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z - origin[0]) / voxel)
+            j = math.floor((positions[n, 1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z - origin[1]) / voxel)
+            inside = 0 <= i < nx and 0 <= j < ny and k >= 0
+            most[n] = max(most[n], p_occupied[i, j, k] if inside else np.float32(1.0))
+            if most[n] >= 1.0:
+                break
+    return most

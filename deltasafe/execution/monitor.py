@@ -1,0 +1,138 @@
+"""What is watched while the arm moves: tracking, joint speeds, clearance in the planned field, the camera's images."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import StaleImageError
+from deltasafe.execution.arm import ArmState
+from deltasafe.execution.impedance import TaskReference, pose_error
+from deltasafe.execution.kinematics import JointLimits
+from deltasafe.execution.settings import ExecutionSettings
+from deltasafe.planning import CheckSettings, body_clearance_m, segment_test
+from deltasafe.planning.body import ToolBody
+from deltasafe.planning.field import SafetyField
+from deltasafe.planning.tracking import TrackingBound
+from deltasafe.scene.sighting import Sighting
+
+__all__ = ["CameraWatch", "Monitor"]
+
+Array = NDArray[np.float64]
+
+_LOOK_EVERY_S = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraWatch:
+    """Whether the camera still sees. Its images are compared, not looked at: the hand is taken to hold still.
+
+    A real sensor never delivers the same image twice, its noise differs. An image that repeats the one before it to
+    the last bit is a stale buffer, and so was perhaps the one that the motion was planned from.
+
+    Attributes:
+        newest: the newest image at a time of the camera's clock (s).
+        seen: the image that the motion was planned from.
+        starts_s: the camera's clock when the execution begins.
+    """
+
+    newest: Callable[[float], Sighting]
+    seen: Sighting
+    starts_s: float = 0.0
+
+    def require_live(self, max_look_age_s: float, max_frame_age_s: float) -> None:
+        """Refuse to start on an old image or beside a frozen camera.
+
+        Raises:
+            StaleImageError: with the remedy.
+        """
+        age_s = self.starts_s - self.seen.taken_s
+        if age_s > max_look_age_s:
+            raise StaleImageError(
+                f"the motion was planned from an image {age_s:.1f} s old, {max_look_age_s:g} s are allowed; "
+                "take a new one and plan again"
+            )
+        reason = self.violation(0.0, self.seen, max_frame_age_s)[1]
+        if reason:
+            raise StaleImageError(f"{reason}; restart the camera, take a new image and plan again")
+
+    def violation(self, time_s: float, before: Sighting, max_frame_age_s: float) -> tuple[Sighting, str]:
+        """The newest image at ``time_s`` of the execution, and what is wrong with it after ``before``."""
+        now_s = self.starts_s + time_s
+        newest = self.newest(now_s)
+        if now_s - newest.taken_s > max_frame_age_s:
+            return newest, f"the camera's newest image is {now_s - newest.taken_s:.2f} s old"
+        if newest.taken_s != before.taken_s and newest.image_sha256 == before.image_sha256:
+            return newest, "the camera repeats an image to the last bit: it is frozen"
+        return newest, ""
+
+
+class Monitor:
+    """Says why the arm must stop, or nothing, at each step of control."""
+
+    def __init__(
+        self,
+        bound: TrackingBound,
+        settings: ExecutionSettings,
+        limits: JointLimits,
+        body: ToolBody,
+        field: SafetyField | None,
+        camera: CameraWatch | None,
+    ) -> None:
+        self._bound, self._settings, self._body, self._camera = bound, settings, body, camera
+        self._speed_limit = limits.velocity_radps
+        self._test = None if field is None else segment_test(field, body, 0.0, CheckSettings())
+        self._top_z_m = 0.0 if field is None else float(field.grid.upper_m[2])
+        self._seen = None if camera is None else camera.seen
+        self._look_at_s = 0.0
+
+    def violation(self, time_s: float, state: ArmState, target: TaskReference, is_planned: bool) -> str:
+        """Why the arm must stop.
+
+        Args:
+            is_planned: whether this is the planned motion; approach and retreat lead through what was not seen.
+        """
+        reason = self._tracking(state, target) or self._joint_speed(state)
+        if reason or time_s < self._look_at_s:
+            return reason
+        self._look_at_s = time_s + _LOOK_EVERY_S - 1e-9
+        return (self._clearance(state) if is_planned else "") or self._image(time_s)
+
+    def _tracking(self, state: ArmState, target: TaskReference) -> str:
+        x, y, z, a, b, c = pose_error(
+            target.position_m, target.quaternion, state.tool_position_m, state.tool_quaternion
+        ).tolist()
+        error = math.hypot(x, y, z) + self._body.rho_max_m * math.hypot(a, b, c)
+        speed = max(math.hypot(*target.twist[:3].tolist()), self._settings.min_speed_mps)
+        allowed = self._bound.gamma0_m + self._bound.gamma1_s * speed + self._settings.monitor_margin_m
+        if error > allowed:
+            return f"workspace error {error * 1e3:.2f} mm exceeds {allowed * 1e3:.2f} mm at {speed:.3f} m/s"
+        return ""
+
+    def _joint_speed(self, state: ArmState) -> str:
+        for joint, (speed, limit) in enumerate(
+            zip(state.joint_velocities_radps.tolist(), self._speed_limit, strict=True)
+        ):
+            if abs(speed) > limit:
+                return f"joint {joint + 1} turns {abs(speed) / limit:.2f} times as fast as it may"
+        return ""
+
+    def _clearance(self, state: ArmState) -> str:
+        """The measured tool in the field, which takes it upright: what its tilt moves at most is taken off."""
+        if self._test is None:
+            return ""
+        x, y, z, w = state.tool_quaternion.tolist()
+        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        tilt = 2 * math.asin(min(1.0, math.hypot(x, y)))
+        lever_m = max(self._body.rho_max_m, self._top_z_m - float(state.tool_position_m[2]))
+        pose = np.array([[*state.tool_position_m.tolist(), yaw]])
+        clearance = float(body_clearance_m(self._test, pose)[0]) - tilt * lever_m
+        return f"the tool is {-clearance * 1e3:.2f} mm inside what is not known to be free" if clearance < 0 else ""
+
+    def _image(self, time_s: float) -> str:
+        if self._camera is None or self._seen is None:
+            return ""
+        self._seen, reason = self._camera.violation(time_s, self._seen, self._settings.max_frame_age_s)
+        return reason
