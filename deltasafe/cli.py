@@ -1,4 +1,4 @@
-"""`deltasafe verify FOLDER` and `deltasafe predict FOLDER IMAGE`: a frozen ensemble on the command line."""
+"""A frozen ensemble on the command line (`verify`, `predict`), and logs for robotics viewers (`export`, `import`)."""
 
 import argparse
 import pathlib
@@ -26,10 +26,23 @@ def main(arguments: list[str] | None = None) -> int:
         "(default: IMAGE.p_occupied.png in the current folder)",
     )
     predict.add_argument("--delta", type=float, default=0.05, help="threshold that is outlined (default 0.05)")
+    export = commands.add_parser("export", help="write an execution or a scene as an MCAP log")
+    export.add_argument(
+        "folder", type=pathlib.Path, help="folder of an execution (execution.json) or a scene (scene.json)"
+    )
+    export.add_argument("log", type=pathlib.Path, help="file to write (.mcap)")
+    export.add_argument("--scene", type=pathlib.Path, help="folder of the scene around an execution")
+    importing = commands.add_parser("import", help="turn an MCAP log of a scene into its folder")
+    importing.add_argument("log", type=pathlib.Path, help="file to read (.mcap)")
+    importing.add_argument("folder", type=pathlib.Path, help="folder to write")
     options = parser.parse_args(arguments)
     try:
         if options.command == "verify":
             _verify(options.folder)
+        elif options.command == "export":
+            _export(options.folder, options.log, options.scene)
+        elif options.command == "import":
+            _import(options.log, options.folder)
         else:
             if not 0 < options.delta < 1:
                 parser.error(f"--delta must lie in (0, 1), got {options.delta}")
@@ -50,6 +63,26 @@ def _verify(folder: pathlib.Path) -> None:
     print(f"{folder}: {files} files intact, M = {len(ensemble)}")
     print(f"golden image answered within {difference:.1e} in probability")
     print(f"smallest supported delta: {'none' if supported is None else f'{supported:g}'}")
+
+
+def _export(folder: pathlib.Path, log: pathlib.Path, around: pathlib.Path | None) -> None:
+    from deltasafe.execution import Execution
+    from deltasafe.interchange import export_execution, export_scene
+    from deltasafe.scene import LoggedScene
+
+    if (folder / "execution.json").is_file():
+        export_execution(Execution.load(folder), log, None if around is None else LoggedScene.load(around))
+    elif (folder / "scene.json").is_file():
+        export_scene(LoggedScene.load(folder), log)
+    else:
+        raise DataError(folder, "holds neither an execution (execution.json) nor a scene (scene.json)")
+    print(f"{log}: {log.stat().st_size / 1e6:.1f} MB")
+
+
+def _import(log: pathlib.Path, folder: pathlib.Path) -> None:
+    from deltasafe.interchange import import_scene
+
+    print(f"{folder}: {import_scene(log, folder).id}")
 
 
 def _predict(folder: pathlib.Path, image: pathlib.Path, output: pathlib.Path | None, delta: float) -> None:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from deltasafe.safety_study.evidence import Rate, by_speed, cell
-from deltasafe.safety_study.settings import CONTENDERS, LABELS
+from deltasafe.safety_study.settings import LABELS
 from deltasafe.safety_study.study import SafetyStudy
 from deltasafe.storage import atomic_file
 
@@ -31,11 +31,11 @@ def plot_rates(study: SafetyStudy, destination: str | pathlib.Path) -> None:
     """Share of motions with a violation, exact 95 % intervals, by delta and contender; delta itself as a dash."""
     figure = _figure(11.5, 5.2)
     model, reality = figure.subplots(1, 2, sharey=True)
-    deltas, width = study.settings.deltas, 0.8 / len(CONTENDERS)
+    deltas, width = study.settings.deltas, 0.8 / len(study.settings.contenders)
     for ax, kind in ((model, "model"), (reality, "reality")):
         for group, delta in enumerate(deltas):
             ax.plot([group - 0.48, group + 0.48], [delta, delta], "--", color="#8a8f98", lw=1.2, zorder=1)
-            for place, name in enumerate(CONTENDERS):
+            for place, name in enumerate(study.settings.contenders):
                 found = cell(study, name, delta)
                 x = group - 0.4 + (place + 0.5) * width
                 if found.executed:
@@ -51,7 +51,8 @@ def plot_rates(study: SafetyStudy, destination: str | pathlib.Path) -> None:
     reality.set_title("The tool touches or crosses the true hand", fontsize=10)
     model.set_ylabel("motions with at least one such pose")
     handles = [
-        Line2D([], [], color=COLOURS[name], marker="o", ms=5, lw=1.6, label=_label(study, name)) for name in CONTENDERS
+        Line2D([], [], color=COLOURS[name], marker="o", ms=5, lw=1.6, label=_label(study, name))
+        for name in study.settings.contenders
     ]
     handles += [
         Line2D([], [], color="#8a8f98", ls="--", lw=1.2, label="delta, the level for each point of the tool"),
@@ -66,7 +67,7 @@ def plot_clearances(study: SafetyStudy, destination: str | pathlib.Path) -> None
     figure = _figure(11.5, 4.3)
     panels = np.atleast_1d(figure.subplots(1, len(study.settings.deltas), sharey=True, sharex=True))
     for ax, delta in zip(panels, study.settings.deltas, strict=True):
-        for name in CONTENDERS:
+        for name in study.settings.contenders:
             tool_m = np.sort(study.trials["min_tool_m"][study.of(name, delta) & study.executed])
             if len(tool_m):
                 share = np.arange(1, len(tool_m) + 1) / len(tool_m)

@@ -38,7 +38,7 @@ class LogWriter:
     def __init__(self, destination: str | pathlib.Path) -> None:
         _require_mcap()
         if pathlib.Path(destination).suffix.lower() != ".mcap":
-            raise SettingsError(f"a log is an MCAP file; name it so, not {pathlib.Path(destination).name}")
+            raise SettingsError(f"a log must end in .mcap, got {pathlib.Path(destination).name}")
         self._whole = atomic_file(destination)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}

@@ -25,15 +25,7 @@ def safety_study_markdown(study: SafetyStudy, films: Mapping[int, str]) -> str:
         _violations(study, "reality"),
         "![Clearances](clearances.png)",
         _clearances(study),
-        "## Does the ensemble protect where a single member misses parts of the hand?",
-        _ensemble(study),
-        "## What the velocity schedule buys",
-        "![By speed](speed.png)",
-        _pairs(study, "top_speed"),
-        _speeds(study),
-        "## The compared methods in the same situations",
-        _parametric_note(study),
-        "\n\n".join(_pairs(study, name) for name in PARAMETRIC),
+        *_comparisons(study),
         "## Refused",
         _refusals(study),
         "## Failures",
@@ -42,6 +34,19 @@ def safety_study_markdown(study: SafetyStudy, films: Mapping[int, str]) -> str:
         _meaning(study),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _comparisons(study: SafetyStudy) -> list[str]:
+    parts, beside = [], study.settings.beside
+    if "single_member" in beside:
+        parts += ["## Does the ensemble protect where a single member misses parts of the hand?", _ensemble(study)]
+    if "top_speed" in beside:
+        parts += ["## What the velocity schedule buys", _pairs(study, "top_speed")]
+    parts += ["## By speed", "![By speed](speed.png)", _speeds(study)]
+    methods = [name for name in PARAMETRIC if name in beside]
+    if methods:
+        parts += ["## The compared methods in the same situations", _parametric_note(study)]
+    return parts + [_pairs(study, name) for name in methods]
 
 
 def _opening(study: SafetyStudy) -> str:
@@ -75,7 +80,7 @@ def _violations(study: SafetyStudy, kind: str) -> str:
         "| upper 95 %, new scene |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for name in CONTENDERS:
+    for name in study.settings.contenders:
         for delta in study.settings.deltas:
             found = cell(study, name, delta)
             rate: Rate = found.model if kind == "model" else found.reality
@@ -97,7 +102,7 @@ def _clearances(study: SafetyStudy) -> str:
         "| length |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for name in CONTENDERS:
+    for name in study.settings.contenders:
         for delta in study.settings.deltas:
             found = cell(study, name, delta)
             lines.append(
@@ -169,19 +174,21 @@ def _parametric_note(study: SafetyStudy) -> str:
         f"They are told of at most {study.settings.n_obstacles} ellipsoids at Gaussian positions, fitted to the same "
         "picture of p_occupied by a fixed rule (`deltasafe/safety_study/obstacles.py`), and see the border of the view "
         "and the table as we do. The robot is the ball around the disc, several obstacles share delta by Boole, "
-        "Kamel's bounding volume keeps 3 sigma whatever delta is. They know no velocity schedule: the tracking error at "
-        "top speed is part of the ball, and the motion is at top speed. What they are *not* told is where the picture "
-        "suspects a hand without reaching 0.5: there they have no obstacle. That is a limit of such models, not of our "
-        "fit. *Beyond delta* is about the ensemble's field, which these methods do not know."
+        "Kamel's bounding volume keeps 3 sigma whatever delta is. They know no velocity schedule: the tracking error "
+        "at top speed is part of the ball, and the motion is at top speed. What they are *not* told is where the "
+        "picture suspects a hand without reaching 0.5: there they have no obstacle. That is a limit of such models, "
+        "not of our fit. *Beyond delta* is about the ensemble's field, which these methods do not know."
     )
 
 
 def _refusals(study: SafetyStudy) -> str:
-    reasons = sorted({r for n in CONTENDERS for d in study.settings.deltas for r in cell(study, n, d).refusals})
+    reasons = sorted(
+        {r for n in study.settings.contenders for d in study.settings.deltas for r in cell(study, n, d).refusals}
+    )
     if not reasons:
         return "None."
     lines = ["| contender | delta | trials | " + " | ".join(reasons) + " |", "|---|---|---|" + "---|" * len(reasons)]
-    for name in CONTENDERS:
+    for name in study.settings.contenders:
         for delta in study.settings.deltas:
             found = cell(study, name, delta)
             counts = " | ".join(str(found.refusals.get(reason, 0)) for reason in reasons)

@@ -8,7 +8,6 @@ from deltasafe.execution.film import save_film
 from deltasafe.progress import Progress, silent
 from deltasafe.safety_study.evidence import cell, failures, touched
 from deltasafe.safety_study.markdown import safety_study_markdown
-from deltasafe.safety_study.settings import CONTENDERS
 from deltasafe.safety_study.study import SafetyStudy
 from deltasafe.safety_study.trials import replay
 from deltasafe.storage import atomic_folder, write_json
@@ -41,7 +40,7 @@ def figures_of(study: SafetyStudy) -> dict[str, float]:
     }
     for delta in study.settings.deltas:
         level = f"delta_{round(100 * delta):03d}"
-        for name in CONTENDERS:
+        for name in study.settings.contenders:
             found, prefix = cell(study, name, delta), "" if name == "ours" else f"{name}_"
             figures |= {
                 f"{prefix}executions_{level}": found.executed,

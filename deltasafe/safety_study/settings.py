@@ -103,6 +103,7 @@ class SafetyStudySettings:
 
     Attributes:
         deltas: levels.
+        beside: the contenders beside ours, out of ``CONTENDERS``.
         n_executions: situations are added until this many motions were executed.
         beside_every: see above.
         seed: of all that is drawn.
@@ -114,6 +115,7 @@ class SafetyStudySettings:
 
     deltas: tuple[float, ...] = (0.01, 0.05, 0.2)
     n_executions: int = 3000
+    beside: tuple[str, ...] = CONTENDERS[1:]
     beside_every: int = 3
     seed: int = 0
     n_obstacles: int = 8
@@ -129,6 +131,8 @@ class SafetyStudySettings:
     def __post_init__(self) -> None:
         if not self.deltas or list(self.deltas) != sorted(set(self.deltas)):
             raise SettingsError(f"deltas must be increasing, got {self.deltas}")
+        if set(self.beside) - set(CONTENDERS[1:]) or len(set(self.beside)) < len(self.beside):
+            raise SettingsError(f"beside must be some of {CONTENDERS[1:]}, each once, got {self.beside}")
         if not 0 < self.deltas[0] <= self.deltas[-1] < 0.5:
             raise SettingsError(f"deltas must lie in (0, 0.5), where the compared methods have them, got {self.deltas}")
         for name in ("n_executions", "beside_every", "n_obstacles", "n_bootstrap"):
@@ -137,9 +141,14 @@ class SafetyStudySettings:
         if self.seed < 0 or self.n_films < 0:
             raise SettingsError(f"seed and n_films must not be negative, got {self.seed} and {self.n_films}")
 
+    @property
+    def contenders(self) -> tuple[str, ...]:
+        """Ours and those beside it."""
+        return (CONTENDERS[0], *self.beside)
+
     def contenders_of(self, situation: int) -> tuple[str, ...]:
         """Who meets situation number ``situation``."""
-        return CONTENDERS if situation % self.beside_every == 0 else CONTENDERS[:1]
+        return (CONTENDERS[0], *(self.beside if situation % self.beside_every == 0 else ()))
 
     def trials_of(self, situation: int) -> tuple[tuple[str, float], ...]:
         """Contender and delta of each trial of a situation."""
@@ -150,9 +159,9 @@ class SafetyStudySettings:
         if trial < 0:
             raise SettingsError(f"a trial's number is not negative, got {trial}")
         few = len(self.deltas)
-        cycle = len(CONTENDERS) * few + (self.beside_every - 1) * few
-        round_, rest = divmod(trial, cycle)
-        if rest < len(CONTENDERS) * few:
+        many = (1 + len(self.beside)) * few
+        round_, rest = divmod(trial, many + (self.beside_every - 1) * few)
+        if rest < many:
             return round_ * self.beside_every, rest
-        after, place = divmod(rest - len(CONTENDERS) * few, few)
+        after, place = divmod(rest - many, few)
         return round_ * self.beside_every + 1 + after, place

@@ -17,7 +17,7 @@ from deltasafe.scene import LoggedScene
 __all__ = ["Situation", "draw_situation", "draw_task", "true_mask"]
 
 Array = NDArray[np.float64]
-ATTEMPTS = 20000
+ATTEMPTS = 4000
 PLANNER, ARM, MEMBER = 0, 1, 2
 
 

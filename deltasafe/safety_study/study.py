@@ -209,8 +209,7 @@ def _more(settings: SafetyStudySettings, executed: int, situations: int) -> int:
 
 
 def _trials_per_situation(settings: SafetyStudySettings) -> float:
-    others = (len(CONTENDERS) - 1) / settings.beside_every
-    return len(settings.deltas) * (1 + others)
+    return len(settings.deltas) * (1 + len(settings.beside) / settings.beside_every)
 
 
 def _restored(kind: Any, record: Mapping[str, Any]) -> Any:

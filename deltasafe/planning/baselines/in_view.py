@@ -11,13 +11,13 @@ __all__ = ["GaussianTestInView"]
 
 
 class GaussianTestInView(NamedTuple):
-    """Both tests must pass. ``view`` is of a field in which only what the camera does not see is occupied."""
+    """Both tests must pass. ``seen`` is of a field in which only what the camera does not see is occupied."""
 
     obstacles: GaussianTest
-    view: SegmentTest
+    seen: SegmentTest
 
 
 @answers_segments(GaussianTestInView)
 @compiled
 def _segment(test, start, end):  # type: ignore[no-untyped-def]
-    return segment_is_safe(test.view, start, end) and segment_is_safe(test.obstacles, start, end)
+    return segment_is_safe(test.seen, start, end) and segment_is_safe(test.obstacles, start, end)

@@ -1,0 +1,153 @@
+"""MCAP: scenes and executions there and back, what viewers look for, and bad files."""
+
+import importlib.util
+import json
+import pathlib
+import sys
+
+import numpy as np
+import pytest
+
+from deltasafe.cli import main
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.execution import Execution
+from deltasafe.execution.recording import PHASES
+from deltasafe.interchange import export_execution, export_scene, import_execution, import_scene
+from deltasafe.interchange.log import LogWriter, read_log
+from deltasafe.planning import ToolBody
+from deltasafe.scene import LoggedScene
+
+needs_mcap = pytest.mark.skipif(importlib.util.find_spec("mcap") is None, reason="the extra mcap is not installed")
+SCENE = LoggedScene.load(pathlib.Path(__file__).parents[3] / "datasets" / "scenes" / "scene_003")
+
+
+@pytest.fixture
+def execution():
+    rng, count = np.random.default_rng(0), 30
+    turn = rng.normal(size=(count, 4))
+    return Execution(
+        time_s=np.arange(count) / 100,
+        phase=np.repeat([0, 2, 4], 10),
+        reference_poses=rng.normal(size=(count, 4)),
+        reference_velocities=rng.normal(size=(count, 4)),
+        tool_positions_m=rng.normal(size=(count, 3)),
+        tool_quaternions=turn / np.linalg.norm(turn, axis=1)[:, None],
+        joint_positions_rad=rng.normal(size=(count, 7)),
+        torques_nm=rng.normal(size=(count, 7)),
+        tool_to_hand_m=rng.random(count),
+        arm_to_hand_m=np.where(np.arange(count) < 5, np.inf, 0.3),
+        contacts=rng.integers(0, 3, count),
+        body=ToolBody(),
+        seed=7,
+        stop_reason="pushed",
+    )
+
+
+@needs_mcap
+def test_a_scene_comes_back_as_it_was(tmp_path):
+    export_scene(SCENE, tmp_path / "scene.mcap")
+    back = import_scene(tmp_path / "scene.mcap", tmp_path / "scene")
+    for name in ("image_path", "mask_path", "mesh_path"):
+        assert getattr(back, name).read_bytes() == getattr(SCENE, name).read_bytes()
+    assert (back.id, back.table_z_m, back.hand_height_m) == (SCENE.id, SCENE.table_z_m, SCENE.hand_height_m)
+    for name in ("width", "height", "fx", "fy", "cx", "cy"):
+        assert getattr(back.camera, name) == getattr(SCENE.camera, name)
+    np.testing.assert_array_equal(back.camera.position_m, SCENE.camera.position_m)
+    np.testing.assert_array_equal(back.camera.world_from_camera_rotation, SCENE.camera.world_from_camera_rotation)
+    np.testing.assert_allclose(back.start.as_array(), SCENE.start.as_array(), atol=1e-15)
+    np.testing.assert_allclose(back.goal.as_array(), SCENE.goal.as_array(), atol=1e-15)
+
+
+@needs_mcap
+def test_an_execution_comes_back_bit_by_bit_and_equal_ones_are_equal_bytes(tmp_path, execution):
+    export_execution(execution, tmp_path / "one.mcap", SCENE)
+    export_execution(execution, tmp_path / "two.mcap", SCENE)
+    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
+    back = import_execution(tmp_path / "one.mcap")
+    assert back.digest() == execution.digest()
+    assert back.stop_reason == "pushed"
+    assert np.isinf(back.arm_to_hand_m[:5]).all()
+
+
+@needs_mcap
+def test_viewers_find_the_schemas_that_they_know(tmp_path, execution):
+    from mcap.reader import make_reader
+
+    export_execution(execution, tmp_path / "run.mcap", SCENE)
+    with (tmp_path / "run.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    schemas = {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
+    assert schemas["/camera/image"] == "foxglove.CompressedImage"
+    assert schemas["/camera/calibration"] == "foxglove.CameraCalibration"
+    assert schemas["/tf"] == "foxglove.FrameTransform"
+    assert schemas["/tool/pose"] == "foxglove.PoseInFrame"
+    assert schemas["/path/executed"] == "foxglove.PosesInFrame"
+    assert schemas["/truth/hand"] == "foxglove.SceneUpdate"
+    for schema in summary.schemas.values():
+        assert schema.encoding == "jsonschema"
+        assert json.loads(schema.data)["title"] == schema.name
+    assert {channel.message_encoding for channel in summary.channels.values()} == {"json"}
+    log = read_log(tmp_path / "run.mcap")
+    assert len(log.on("/joint_states")) == len(execution.time_s)
+    assert log.on("/joint_states")[3]["timestamp"] == {"sec": 0, "nsec": 30_000_000}
+    assert log.image("/camera/image")[0] == SCENE.image_path.read_bytes()
+    assert log.on("/execution")[-1]["phase"] == PHASES[4]
+    # every message has the fields of its schema, and no others
+    by_name = {schema.name: json.loads(schema.data)["properties"] for schema in summary.schemas.values()}
+    for topic, messages in log.messages.items():
+        allowed = set(by_name[schemas[topic]]) | {"timestamp"}
+        assert all(set(message) <= allowed for message in messages), topic
+
+
+@needs_mcap
+def test_bad_files_are_named(tmp_path, execution):
+    with pytest.raises(DataError, match="is missing"):
+        read_log(tmp_path / "none.mcap")
+    (tmp_path / "text.mcap").write_text("no log at all")
+    with pytest.raises(DataError, match="not a readable MCAP"):
+        read_log(tmp_path / "text.mcap")
+    export_execution(execution, tmp_path / "run.mcap")
+    whole = (tmp_path / "run.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(DataError):
+        import_execution(tmp_path / "cut.mcap")
+    middle = len(whole) // 3
+    (tmp_path / "bent.mcap").write_bytes(whole[:middle] + bytes([whole[middle] ^ 0x55]) + whole[middle + 1 :])
+    with pytest.raises(DataError):
+        import_execution(tmp_path / "bent.mcap")
+    with pytest.raises(DataError, match=r"deltasafe\.scene"):
+        import_scene(tmp_path / "run.mcap", tmp_path / "scene")
+    export_scene(SCENE, tmp_path / "scene.mcap")
+    with pytest.raises(DataError, match=r"deltasafe\.execution"):
+        import_execution(tmp_path / "scene.mcap")
+    with pytest.raises(SettingsError, match=r"\.mcap"):
+        export_scene(SCENE, tmp_path / "scene.bag")
+    assert not (tmp_path / "scene").exists()
+
+
+@needs_mcap
+def test_a_log_is_written_whole_or_not_at_all(tmp_path):
+    with pytest.raises(RuntimeError, match="power"), LogWriter(tmp_path / "log.mcap") as log:
+        log.say("/tool/pose", "foxglove.PoseInFrame", 0, {"frame_id": "world"})
+        raise RuntimeError("power went out")
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_mcap
+def test_the_command_line_exports_and_imports(tmp_path, execution, capsys):
+    execution.save(tmp_path / "run")
+    scene = str(SCENE.image_path.parent)
+    assert main(["export", str(tmp_path / "run"), str(tmp_path / "run.mcap"), "--scene", scene]) == 0
+    assert import_execution(tmp_path / "run.mcap").digest() == execution.digest()
+    assert main(["export", scene, str(tmp_path / "scene.mcap")]) == 0
+    assert main(["import", str(tmp_path / "scene.mcap"), str(tmp_path / "back")]) == 0
+    assert LoggedScene.load(tmp_path / "back").id == SCENE.id
+    assert main(["export", str(tmp_path), str(tmp_path / "x.mcap")]) == 1
+    assert "neither" in capsys.readouterr().err
+
+
+def test_without_the_package_the_remedy_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mcap", None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(SettingsError, match="pip install"):
+        export_scene(SCENE, tmp_path / "scene.mcap")
