@@ -88,7 +88,8 @@ def _pictures(report: SafetyReport) -> str:
     for scene in report.scenes:
         parts.append(f"### {scene.scene_id}: {scene.outcome}\n\n![plan of {scene.scene_id}]({scene.scene_id}-plan.png)")
         if scene.verdict is not None:
-            parts.append(f"![execution of {scene.scene_id}]({scene.scene_id}-execution.png)")
+            parts.append(f"![executed path of {scene.scene_id}]({scene.scene_id}-executed.png)")
+            parts.append(f"![execution of {scene.scene_id} over time]({scene.scene_id}-execution.png)")
     return "\n\n".join(parts)
 
 

@@ -7,13 +7,15 @@ from collections.abc import Sequence
 
 from deltasafe.execution.film import save_film
 from deltasafe.execution.safety import SafetyVerdict, judge
+from deltasafe.figures.executed_path import executed_over_image
 from deltasafe.figures.execution import execution_figure
+from deltasafe.perception.hands import read_rgb
 from deltasafe.planning import PlannedMotion
 from deltasafe.progress import Progress, silent
 from deltasafe.scene import LoggedScene
 from deltasafe.storage import atomic_folder, write_json
 from deltasafe.trials.executions import load_execution, load_outcomes
-from deltasafe.trials.fields import load_field
+from deltasafe.trials.fields import load_field, load_p_occupied
 from deltasafe.trials.motions import load_motion
 from deltasafe.trials.overview import tile_pictures
 from deltasafe.trials.safety_markdown import safety_markdown, safety_summary
@@ -70,6 +72,9 @@ def write_safety_report(
         (temporary / "report.md").write_text(safety_markdown(report), encoding="utf-8")
         (temporary / "summary.md").write_text(safety_summary(report), encoding="utf-8")
         tile_pictures([temporary / f"{scene.id}-plan.png" for scene in scenes], temporary / "plans.jpg")
+        driven = [temporary / f"{scene.id}-executed.png" for scene in scenes if reasons[scene.id].executed]
+        if driven:
+            tile_pictures(driven, temporary / "executed.jpg")
     return report
 
 
@@ -81,6 +86,15 @@ def _judge_scene(
     v_min_mps = motion.settings.v_min_mps
     figure = execution_figure(execution, motion.tracking, min_speed_mps=v_min_mps, title=scene.id)
     figure.savefig(folder / f"{scene.id}-execution.png", dpi=110)
+    executed_over_image(
+        read_rgb(scene.image_path),
+        load_p_occupied(fields, scene.id),
+        scene.camera,
+        motion,
+        execution,
+        folder / f"{scene.id}-executed.png",
+        title=scene.id,
+    )
     return judge(
         execution,
         grid,

@@ -89,7 +89,14 @@ def test_a_scene_without_a_safe_path_is_an_outcome_with_its_reason(chain):
 def test_the_report_is_complete_on_disk(chain):
     _, root, _, _, report = chain
     text = (root / "report" / "report.md").read_text()
-    for name in ("scene_000-plan.png", "scene_000-execution.png", "scene_000.gif", "scene_900-plan.png"):
+    for name in (
+        "scene_000-plan.png",
+        "scene_000-execution.png",
+        "scene_000-executed.png",
+        "executed.jpg",
+        "scene_000.gif",
+        "scene_900-plan.png",
+    ):
         assert (root / "report" / name).is_file()
         assert name in text
     assert "1 of 2 scenes were executed" in text
