@@ -93,12 +93,12 @@ def test_the_report_is_complete_on_disk(chain):
         "scene_000-plan.png",
         "scene_000-execution.png",
         "scene_000-executed.png",
-        "executed.jpg",
         "scene_000.gif",
         "scene_900-plan.png",
     ):
         assert (root / "report" / name).is_file()
         assert name in text
+    assert (root / "report" / "executed.jpg").is_file()
     assert "1 of 2 scenes were executed" in text
     stored = json.loads((root / "report" / "report.json").read_text())
     assert stored["figures"] == pytest.approx(report.figures())
