@@ -6,8 +6,9 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Store
+from assets.operation import ALL_CORES, ON_NEW_DATA, TWICE_MORE, fails_for_good
 from assets.progress import progress_of
-from assets.reporting import Metadata, inline_picture
+from assets.reporting import Metadata, folder_facts, inline_picture
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -48,24 +49,36 @@ class SafetyConfig(dg.Config):
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image", "json"}, code_version="1")
+@fails_for_good
 def logged_scenes(
     context: dg.AssetExecutionContext, config: ScenesConfig, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
     """Images of a table with a hand on it, with camera, start and goal; mask and mesh are for judging alone."""
+    from deltasafe.storage import sha256_of_file
     from deltasafe.trials.selection import select_scenes
 
     source, _ = store.dataset(config.folder, "scenes")
     folder = store.folder("logged_scenes", context.run_id[:8])
     scenes = select_scenes(source, config.n_scenes, folder)
-    return dg.Output(folder, metadata={"scenes": len(scenes), "folder": str(source)})
+    version = sha256_of_file(folder / "scenes.json")[:16]
+    metadata = {"scenes": len(scenes), "scenes' folder": str(source), **folder_facts(folder, version)}
+    return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"pytorch", "numpy"}, code_version="1")
+@dg.asset(
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"pytorch", "numpy"},
+    code_version="1",
+    retry_policy=TWICE_MORE,
+    automation_condition=ON_NEW_DATA,
+)
+@fails_for_good
 def occupancy_fields(
     context: dg.AssetExecutionContext,
     config: FieldConfig,
     logged_scenes: pathlib.Path,
-    frozen_ensemble: pathlib.Path,
+    champion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """What the frozen ensemble sees in each scene, extruded along the camera's rays to the height of the hand."""
@@ -76,18 +89,28 @@ def occupancy_fields(
 
     scenes = load_selection(logged_scenes)
     folder = store.folder("occupancy_fields", context.run_id[:8])
-    write_fields(load_ensemble(frozen_ensemble), scenes, folder, config.settings(), progress_of(context))
+    write_fields(load_ensemble(champion), scenes, folder, config.settings(), progress_of(context))
     picture = overview(scenes, folder, PRESET.motion.delta, folder / "overview.jpg")
-    return dg.Output(folder, metadata={"scenes": len(scenes), "overview": inline_picture(picture)})
+    metadata = {"overview": inline_picture(picture), "scenes": len(scenes), "ensemble": champion.name}
+    return dg.Output(folder, metadata={**metadata, **folder_facts(folder)})
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1")
+@dg.asset(
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"numba"},
+    code_version="1",
+    retry_policy=TWICE_MORE,
+    automation_condition=ON_NEW_DATA,
+    pool=ALL_CORES,
+)
+@fails_for_good
 def planned_motions(
     context: dg.AssetExecutionContext,
     config: MotionConfig,
     logged_scenes: pathlib.Path,
     occupancy_fields: pathlib.Path,
-    frozen_ensemble: pathlib.Path,
+    champion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """A delta-safe path by SCC-RRT* and a velocity schedule for each scene, or the reason why there is none."""
@@ -96,7 +119,7 @@ def planned_motions(
     from deltasafe.trials.motions import plan_scenes
     from deltasafe.trials.selection import load_selection
 
-    calibration = Calibration(**read_json(frozen_ensemble / "calibration.json"))
+    calibration = Calibration(**read_json(champion / "calibration.json"))
     scenes, settings = load_selection(logged_scenes), config.motion.settings()
     folder, progress = store.folder("planned_motions", context.run_id[:8]), progress_of(context, every_s=2.0)
     motions = plan_scenes(scenes, occupancy_fields, folder, settings, calibration, config.first_seed, progress)
@@ -105,11 +128,21 @@ def planned_motions(
         "scenes": len(scenes),
         "with a safe motion": sum(motion.is_safe for motion in motions.values()),
         "first motion": inline_picture(folder / first / "plan.png"),
+        **folder_facts(folder),
     }
     return dg.Output(folder, metadata=metadata)
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"bullet"}, code_version="1")
+@dg.asset(
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"bullet"},
+    code_version="1",
+    retry_policy=TWICE_MORE,
+    automation_condition=ON_NEW_DATA,
+    pool=ALL_CORES,
+)
+@fails_for_good
 def executed_motions(
     context: dg.AssetExecutionContext,
     config: ExecutedConfig,
@@ -134,10 +167,19 @@ def executed_motions(
         progress=progress_of(context, every_s=2.0),
     )
     executed = sum(outcome.executed for outcome in outcomes)
-    return dg.Output(folder, metadata={"executed": executed, "not executed": len(outcomes) - executed})
+    metadata = {"executed": executed, "not executed": len(outcomes) - executed, **folder_facts(folder)}
+    return dg.Output(folder, metadata=metadata)
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1")
+@dg.asset(
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"markdown"},
+    code_version="1",
+    retry_policy=TWICE_MORE,
+    automation_condition=ON_NEW_DATA,
+)
+@fails_for_good
 def safety_report(
     context: dg.AssetExecutionContext,
     config: SafetyConfig,
@@ -161,12 +203,14 @@ def safety_report(
         n_films=config.n_films,
         progress=progress_of(context, every_s=2.0),
     )
-    film = next((inline_picture(folder / scene.film) for scene in report.scenes if scene.film), None)
+    executed = folder / "executed.jpg"
+    film = next((inline_picture(folder / scene.film, 30_000) for scene in report.scenes if scene.film), None)
     metadata: Metadata = {
         "report": dg.MetadataValue.md((folder / "summary.md").read_text(encoding="utf-8")),
-        "plans": inline_picture(folder / "plans.jpg"),
+        "plans": inline_picture(folder / "plans.jpg", 60_000),
+        **({"executed": inline_picture(executed, 60_000)} if executed.is_file() else {}),
         **({} if film is None else {"film": film}),
         **report.figures(),
-        "folder": str(folder),
+        **folder_facts(folder),
     }
     return dg.Output(folder, metadata=metadata)

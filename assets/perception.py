@@ -5,9 +5,11 @@ import pathlib
 import dagster as dg
 
 from assets.config import configurable
-from assets.interfaces import Store, Tracker
+from assets.interfaces import Registry, Store, Tracker
+from assets.operation import ALL_CORES, TWICE_MORE, fails_for_good
 from assets.progress import progress_of
-from assets.reporting import Metadata, inline_picture, inline_report
+from assets.promotion import NOT_WORSE, not_worse, verdict_table
+from assets.reporting import folder_facts, inline_picture, inline_report, page_link
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -20,6 +22,7 @@ AugmentationConfig = configurable(PRESET.augmentation)
 TrainingConfig = configurable(PRESET.training)
 InferenceConfig = configurable(PRESET.inference)
 CalibrationConfig = configurable(PRESET.calibration)
+PromotionConfig = configurable(PRESET.promotion)
 
 
 class HandsConfig(dg.Config):
@@ -63,22 +66,33 @@ def _checked(config: HandsConfig, store: Store, packaged: str) -> dg.Output[path
 
     folder, registry = store.dataset(config.folder, packaged)
     hands = HandSet.load(folder, registry)
-    return dg.Output(folder, metadata={"images": len(hands), "digest": hands.digest, "folder": str(folder)})
+    metadata = {"images": len(hands), **folder_facts(folder, hands.digest)}
+    return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
+@fails_for_good
 def raw_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
     """The labelled training images: few, and of low variety. Checked file by file before anything uses them."""
     return _checked(config, store, "hands/train")
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
+@fails_for_good
 def test_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
     """Labelled images of high variety. They enter at the calibration report and nowhere before."""
     return _checked(config, store, "hands/test")
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numpy", "image"}, code_version="1")
+@dg.asset(
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"numpy", "image"},
+    code_version="1",
+    pool=ALL_CORES,
+    retry_policy=TWICE_MORE,
+)
+@fails_for_good
 def augmented_hands(
     context: dg.AssetExecutionContext,
     config: AugmentedConfig,
@@ -97,8 +111,8 @@ def augmented_hands(
     made = write_augmented_set(hands, backgrounds, settings, folder, workers=config.workers, progress=progress)
     sheet = folder.with_name(f"{folder.name}-sheet.png")
     contact_sheet(hands, made, sheet)
-    metadata: Metadata = {"images": made.n, "digest": made.digest, "contact sheet": inline_picture(sheet)}
-    return dg.Output(folder, metadata=metadata)
+    metadata = {"contact sheet": inline_picture(sheet), "images": made.n, **folder_facts(folder, made.digest)}
+    return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(made.digest[:16]))
 
 
 @dg.asset(
@@ -108,7 +122,10 @@ def augmented_hands(
     code_version="1",
     partitions_def=members,
     backfill_policy=dg.BackfillPolicy.single_run(),
+    pool=ALL_CORES,
+    retry_policy=TWICE_MORE,
 )
+@fails_for_good
 def ensemble_member(
     context: dg.AssetExecutionContext,
     config: MemberConfig,
@@ -125,7 +142,15 @@ def ensemble_member(
     return train_and_record(context, seeds, augmented_hands, settings, config.device, config.workers, store, tracker)
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"pytorch", "markdown"}, code_version="1")
+@dg.asset(
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"pytorch", "markdown"},
+    code_version="1",
+    pool=ALL_CORES,
+    retry_policy=TWICE_MORE,
+)
+@fails_for_good
 def calibration_report(
     context: dg.AssetExecutionContext,
     config: ReportConfig,
@@ -139,16 +164,17 @@ def calibration_report(
     from deltasafe.perception.ensemble_evaluation import evaluate_members
     from deltasafe.perception.hands import HandSet, check_disjoint
     from deltasafe.perception.member import Member
+    from deltasafe.storage import sha256_of_file
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
     calibration = None
     if config.calibration_folder:
         calibration = HandSet.load(config.calibration_folder)
         check_disjoint(HandSet.load(raw_hands), calibration)
-    folder = store.folder("calibration_report", context.run_id[:8])
+    folder, test = store.folder("calibration_report", context.run_id[:8]), HandSet.load(test_hands)
     report = evaluate_members(
         trained,
-        HandSet.load(test_hands),
+        test,
         folder,
         inference=config.inference.settings(),
         settings=config.calibration.settings(),
@@ -157,21 +183,22 @@ def calibration_report(
         progress=progress_of(context),
         calibration=calibration,
     )
-    tracker.report(trained[0].ensemble_identity, report.figures(), folder)
-    metadata: Metadata = {"report": inline_report(folder / "report.md"), **report.figures(), "folder": str(folder)}
-    return dg.Output(folder, metadata=metadata)
+    page = tracker.report(trained[0].ensemble_identity, report.figures(), folder, {"test hands": test.digest})
+    metadata = {"report": inline_report(folder / "report.md"), **report.figures(), **page_link(page)}
+    version = dg.DataVersion(sha256_of_file(folder / "report.json")[:16])
+    return dg.Output(folder, metadata={**metadata, **folder_facts(folder)}, data_version=version)
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"pytorch", "onnx"}, code_version="1")
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"pytorch", "onnx"}, code_version="2", retry_policy=TWICE_MORE)
+@fails_for_good
 def frozen_ensemble(
-    context: dg.AssetExecutionContext,
     ensemble_member: dict[str, pathlib.Path],
     calibration_report: pathlib.Path,
     raw_hands: pathlib.Path,
     store: dg.ResourceParam[Store],
     tracker: dg.ResourceParam[Tracker],
 ) -> dg.Output[pathlib.Path]:
-    """The ensemble as a folder named by its content, which other projects pull; registered with an alias."""
+    """The ensemble as a folder named by its content, for other projects; a version of the model, as challenger."""
     from deltasafe.perception.ensemble_evaluation import freeze_evaluated
     from deltasafe.perception.hands import HandSet
     from deltasafe.perception.member import Member
@@ -179,7 +206,42 @@ def frozen_ensemble(
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
     golden_rgb, _ = HandSet.load(raw_hands).read(0)
     folder = freeze_evaluated(trained, calibration_report, golden_rgb, store.home / "frozen")
-    uri = tracker.register(trained[0].ensemble_identity, folder, {"dagster_run_id": context.run_id})
-    card = (folder / "model_card.md").read_text(encoding="utf-8")
-    metadata: Metadata = {"folder": str(folder), "model": uri, "model card": dg.MetadataValue.md(card)}
-    return dg.Output(folder, metadata=metadata)
+    page = tracker.register(trained[0].ensemble_identity, folder)
+    card = dg.MetadataValue.md((folder / "model_card.md").read_text(encoding="utf-8"))
+    metadata = {"model card": card, "members": len(trained), **page_link(page), **folder_facts(folder, folder.name)}
+    return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(folder.name))
+
+
+@dg.asset(
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"mlflow"},
+    code_version="1",
+    retry_policy=TWICE_MORE,
+    check_specs=[NOT_WORSE],
+    pool="registry",
+)
+@fails_for_good
+def champion(
+    context: dg.AssetExecutionContext,
+    config: PromotionConfig,
+    frozen_ensemble: pathlib.Path,
+    test_hands: pathlib.Path,
+    store: dg.ResourceParam[Store],
+    registry: dg.ResourceParam[Registry],
+) -> dg.MaterializeResult:
+    """The ensemble in use: the new one if it is not worse than the one before on the same test images."""
+    from deltasafe.perception.hands import HandSet
+    from deltasafe.perception.promotion import judge_challenger
+
+    present, objection = registry.champion(), registry.objection(frozen_ensemble)
+    test, kept = HandSet.load(test_hands), store.home / "scores"
+    settings, progress = config.settings(), progress_of(context)
+    verdict = judge_challenger(frozen_ensemble, present, test, kept, settings, objection, progress)
+    folder = registry.decide(frozen_ensemble, verdict.promoted, verdict.reason)
+    return dg.MaterializeResult(
+        value=folder,
+        metadata={"decision": verdict_table(verdict), **folder_facts(folder, folder.name)},
+        data_version=dg.DataVersion(folder.name),
+        check_results=[not_worse(verdict)],
+    )

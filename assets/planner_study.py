@@ -6,6 +6,7 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Store
+from assets.operation import ALL_CORES
 from assets.progress import progress_of
 from assets.reporting import Metadata, inline_picture
 from deltasafe import presets
@@ -13,6 +14,7 @@ from deltasafe import presets
 PRESET = presets.active()
 GROUP = "planner_study"
 OWNERS = ["team:motion"]
+_SHOWN = ("fig5", "fig5_references", "fig6", "space")
 
 ComparisonConfig = configurable(PRESET.comparison)
 TimingConfig = configurable(PRESET.timing)
@@ -32,7 +34,7 @@ class TimeConfig(dg.Config):
     workers: int = 2
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1")
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1", pool=ALL_CORES)
 def planner_costs(
     context: dg.AssetExecutionContext, config: CostConfig, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
@@ -47,7 +49,7 @@ def planner_costs(
 
 
 # after the costs, so that nothing else runs while times are measured
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1", deps=[planner_costs])
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1", deps=[planner_costs], pool=ALL_CORES)
 def planner_times(
     context: dg.AssetExecutionContext, config: TimeConfig, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
@@ -75,7 +77,10 @@ def planner_report(
     figures = write_study(Comparison.load(planner_costs), Timing.load(planner_times), folder)
     metadata: Metadata = {
         "report": dg.MetadataValue.md((folder / "report.md").read_text(encoding="utf-8")),
-        **{name: inline_picture(folder / f"{name}.png") for name in ("fig5", "fig5_references", "fig6", "space")},
+        **{
+            name: inline_picture(folder / f"{name}.png", 22_000)
+            for name in ("fig5", "fig5_references", "fig6", "space")
+        },
         **figures,
         "folder": str(folder),
     }

@@ -8,6 +8,7 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Store, Tracker
+from assets.operation import ALL_CORES
 from assets.progress import progress_of
 from assets.reporting import Metadata, inline_report
 from deltasafe import presets
@@ -69,6 +70,7 @@ def open_study(config: CellConfig, train: pathlib.Path, test: pathlib.Path, stor
     code_version="1",
     partitions_def=cells,
     backfill_policy=dg.BackfillPolicy.single_run(),
+    pool=ALL_CORES,
 )
 def study_cell(
     context: dg.AssetExecutionContext,
@@ -84,7 +86,7 @@ def study_cell(
         if cell.name in context.partition_keys:
             report = study.judge(cell, _steps_of(context), progress_of(context))
             made[cell.name] = folder = study.report_folder(cell)
-            tracker.report(folder.name, report.figures(), folder)
+            tracker.report(folder.name, report.figures(), folder, {"test hands": study.test.digest})
             metadata = {**report.figures(), "distinct images": study.augmented_set(cell).n_distinct}
             context.add_asset_metadata(metadata, partition_key=cell.name)
     return made

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import dagster as dg
 
-from assets.interfaces import Store, Tracker
+from assets.interfaces import Store, Tracker, TrainedMember
 from assets.progress import progress_of
-from assets.reporting import inline_picture
+from assets.reporting import folder_facts, inline_picture, page_link
 from deltasafe.perception.settings import TrainingSettings
 
 __all__ = ["train_and_record"]
@@ -39,20 +39,35 @@ def train_and_record(
         for name, seed in seeds.items()
     ]
     said = {name: progress_of(context, every_s=20.0) for name in seeds}
+    speeds: dict[str, dict[int, float]] = {name: {} for name in seeds}
 
     def on_step(name: str, step: StepReport) -> None:
+        speeds[name][step.epoch] = step.images_per_s
         left_min = (step.n_steps - step.step) * settings.batch_size / step.images_per_s / 60
         text = f"{name}: epoch {step.epoch} of {settings.epochs}, loss {step.loss:.3f}"
         said[name](step.step, step.n_steps, f"{text}, {step.images_per_s:.1f} images/s, {left_min:.1f} min left")
 
     trained = train_members(jobs, augmented, settings, device=device, workers=workers, on_step=on_step)
     for name, member in trained.items():
-        losses, curve = member.losses, member.folder / "loss.png"
-        loss_curves({name: losses}, member.record["steps_per_epoch"], curve)
-        tracker.member(member.ensemble_identity, name, {**_flat(settings), "seed": member.seed}, losses)
-        metadata = {"seed": member.seed, "final loss": sum(losses[-20:]) / len(losses[-20:]), "steps": len(losses)}
-        context.add_asset_metadata({**metadata, "loss": inline_picture(curve)}, partition_key=name)
-        context.log.info(f"{name}: finished after {len(losses)} steps, loss {metadata['final loss']:.3f}")
+        losses, curve, per_epoch = member.losses, member.folder / "loss.png", member.record["steps_per_epoch"]
+        loss_curves({name: losses}, per_epoch, curve)
+        page = tracker.member(
+            member.ensemble_identity,
+            TrainedMember(
+                name,
+                {**_flat(settings), "seed": member.seed},
+                losses,
+                per_epoch,
+                [speed for _, speed in sorted(speeds[name].items())],
+                {"augmented hands": data.digest},
+                curve,
+            ),
+        )
+        final = sum(losses[-20:]) / len(losses[-20:])
+        metadata = {"loss": inline_picture(curve), "final loss": final, "steps": len(losses), "seed": member.seed}
+        facts = folder_facts(member.folder, member.record["weights_sha256"])
+        context.add_asset_metadata({**metadata, **page_link(page), **facts}, partition_key=name)
+        context.log.info(f"{name}: finished after {len(losses)} steps, loss {final:.3f}")
     return {name: member.folder for name, member in trained.items()}
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from deltasafe.presets import VARIABLE
 from deltasafe.storage import read_json, write_json
 from pipelines.home import prepare_home
+from pipelines.lost_runs import fail_lost_runs
 from pipelines.pictures import record_pictures
 from pipelines.provenance import commit, machine
 
@@ -40,6 +41,7 @@ def main() -> int:
 
     began_s = time.monotonic()
     with dg.DagsterInstance.get() as instance:
+        fail_lost_runs(instance)  # a killed one would hold its pool for ever
         loggers: dict[str, Any] = {"loggers": {"console": {"config": {}}}}
         result = dg.execute_job(dg.reconstructable(everything), instance=instance, run_config=loggers)
         run_id, success = result.run_id, result.success
@@ -122,6 +124,8 @@ def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:
     print(f"  safety report       {safety / 'report.md'}")
     print(f"  films               {', '.join(str(film) for film in films) or 'none'}")
     print(f"  frozen ensemble     {_folder(root, 'frozen_ensemble')}")
+    if _folder(root, "champion") != _folder(root, "frozen_ensemble"):
+        print(f"  which was refused; the motions are those of {_folder(root, 'champion')}: see `make registry`")
     print(f"  figures             {root / 'results.json'}")
     print("  UI                  make ui, then http://127.0.0.1:3000")
 

@@ -26,9 +26,15 @@ class FolderPointers(dg.ConfigurableIOManager):
             return
         by_partition = obj if isinstance(obj, dict) else {None: obj}
         for partition, folder in by_partition.items():
-            pointer = {"folder": self._relative(pathlib.Path(folder)), "run_id": context.run_id}
-            for run_id in (context.run_id, None):
-                write_json(self._pointer(context.asset_key, partition, run_id), pointer)
+            self.point(context.asset_key, pathlib.Path(folder), partition, context.run_id)
+
+    def point(
+        self, asset_key: dg.AssetKey, folder: pathlib.Path, partition: str | None = None, run_id: str | None = None
+    ) -> None:
+        """Remember ``folder`` as the value of an asset, as made by ``run_id`` or by a person."""
+        pointer = {"folder": self._relative(folder), "run_id": run_id}
+        for scope in {run_id, None}:
+            write_json(self._pointer(asset_key, partition, scope), pointer)
 
     def load_input(self, context: dg.InputContext) -> Any:
         run_id = context.step_context.run_id

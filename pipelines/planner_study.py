@@ -9,6 +9,7 @@ from typing import Any
 from deltasafe.presets import VARIABLE
 from deltasafe.storage import atomic_folder, read_json, write_json
 from pipelines.home import prepare_home
+from pipelines.lost_runs import fail_lost_runs
 
 __all__ = ["main"]
 
@@ -36,6 +37,7 @@ def main() -> int:
         "ops": {name: {"config": {"workers": options.workers}} for name in ("planner_costs", "planner_times")},
     }
     with dg.DagsterInstance.get() as instance:
+        fail_lost_runs(instance)
         if not dg.execute_job(dg.reconstructable(planner_study), instance=instance, run_config=config).success:
             print(
                 "\nThe run failed. `make planner-study` goes on with what is finished; `make ui` shows the failed step."

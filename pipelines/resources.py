@@ -5,25 +5,43 @@ import pathlib
 import dagster as dg
 
 from assets.interfaces import Store
+from pipelines.home import run_page
+from pipelines.launch_check import refuse_wrong_settings
+from pipelines.registry import EnsembleRegistry
 from pipelines.tracking import MlflowTracker
 
-__all__ = ["StoreResource", "TrackerResource"]
+__all__ = ["RegistryResource", "StoreResource", "TrackerResource"]
 
 
 class StoreResource(dg.ConfigurableResource[Store]):
-    """Where inputs lie and where results go."""
+    """Where inputs lie and where results go. Every step asks for it, the first ones before anything is computed."""
 
     home: str
     datasets: str
 
     def create_resource(self, context: dg.InitResourceContext) -> Store:
+        if context.run is not None:
+            refuse_wrong_settings(context.run.run_config)
         return Store(pathlib.Path(self.home), pathlib.Path(self.datasets))
 
 
 class TrackerResource(dg.ConfigurableResource[MlflowTracker]):
-    """MLflow below the home; every MLflow run carries the Dagster run that wrote it."""
+    """MLflow; every MLflow run names the Dagster run that wrote it, and its page."""
 
     home: str
 
     def create_resource(self, context: dg.InitResourceContext) -> MlflowTracker:
-        return MlflowTracker(pathlib.Path(self.home), {"dagster_run_id": context.run_id or ""})
+        return MlflowTracker(pathlib.Path(self.home), _tags(context))
+
+
+class RegistryResource(dg.ConfigurableResource[EnsembleRegistry]):
+    """Which frozen ensemble is in use."""
+
+    home: str
+
+    def create_resource(self, context: dg.InitResourceContext) -> EnsembleRegistry:
+        return EnsembleRegistry(MlflowTracker(pathlib.Path(self.home), _tags(context)))
+
+
+def _tags(context: dg.InitResourceContext) -> dict[str, str]:
+    return {"dagster_run_id": context.run_id, "dagster_run": run_page(context.run_id)} if context.run_id else {}

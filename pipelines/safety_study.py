@@ -10,6 +10,7 @@ from deltasafe.errors import DeltasafeError
 from deltasafe.presets import VARIABLE
 from deltasafe.storage import atomic_folder, read_json, write_json
 from pipelines.home import prepare_home
+from pipelines.lost_runs import fail_lost_runs
 
 __all__ = ["main"]
 
@@ -47,6 +48,7 @@ def main() -> int:
         trials["ensemble"] = str(options.ensemble.expanduser().resolve())
     config = {"loggers": {"console": {"config": {}}}, "ops": {"safety_trials": {"config": trials}}}
     with dg.DagsterInstance.get() as instance:
+        fail_lost_runs(instance)
         if not dg.execute_job(dg.reconstructable(safety_study), instance=instance, run_config=config).success:
             print(
                 "\nThe run failed. `make safety-study` goes on with what is finished; `make ui` shows the failed step."

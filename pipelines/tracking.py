@@ -1,139 +1,111 @@
-"""Experiment tracking and model registry: MLflow on SQLite below the home, written to directly."""
+"""Experiment tracking: what the assets report, written down first and sent to MLflow as soon as it can be."""
 
 import contextlib
+import logging
 import pathlib
 import time
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+import urllib.error
+import urllib.request
+from collections.abc import Iterator, Mapping
+from typing import Any
 
-from pipelines.home import PROJECT, FileLock, set_quiet_environment, tracking_uri
+from assets.interfaces import TrainedMember
+from pipelines.home import FileLock, set_quiet_environment, tracking_uri
+from pipelines.mlflow_records import MlflowRecords
+from pipelines.pending import PendingCalls
 
-if TYPE_CHECKING:
-    from mlflow import MlflowClient
+__all__ = ["MlflowTracker", "is_reachable"]
 
-__all__ = ["ALIAS", "EXPERIMENT", "MODEL_NAME", "MlflowTracker"]
-
-EXPERIMENT = "deltasafe"
-MODEL_NAME = "deltasafe-hand-ensemble"
-ALIAS = "champion"
-
-_MODEL_CODE = pathlib.Path(__file__).with_name("mlflow_model.py")
-_REQUIREMENTS = ("torch", "torchvision", "timm", "safetensors", "numpy", "opencv-python-headless")
-_IDENTITY = "deltasafe.identity"
-_MEMBER = "deltasafe.member"
+_log = logging.getLogger("deltasafe.tracking")
 
 
 class MlflowTracker:
-    """One parent run an ensemble, found or created by its identity; one child run a member.
+    """One parent run an ensemble, one child run a member, and versions of one registered model.
 
-    A backfill is many Dagster runs in many processes, so runs are looked up by tag, under a lock, and never
-    kept in memory.
+    Every call is a file below the home before it is made, and files are made calls of in order, by whoever comes next:
+    the next call, another process, or `python -m pipelines.registry replay`. So a server that is away costs a warning.
 
     Args:
         home: `$DELTASAFE_HOME`.
-        tags: written to every run that is touched (Dagster's run id).
+        tags: written to every MLflow run and version that is touched (Dagster's run id and its page).
     """
 
     def __init__(self, home: pathlib.Path, tags: Mapping[str, str] | None = None) -> None:
         self.home = home
         self.tags = dict(tags or {})
+        self.pending = PendingCalls(home / "mlflow" / "pending")
 
-    def member(self, identity: str, name: str, parameters: Mapping[str, object], losses: Sequence[float]) -> None:
-        """Record a trained member, once, as a child run of its ensemble."""
-        from mlflow.entities import Metric, Param
+    def member(self, identity: str, member: TrainedMember) -> str | None:
+        """Record a trained member; the address of its run's page, if it could be recorded now."""
+        per_epoch = member.steps_per_epoch
+        means = [
+            sum(member.losses[first : first + per_epoch]) / len(member.losses[first : first + per_epoch])
+            for first in range(0, len(member.losses), per_epoch)
+        ]
+        return self.call(
+            "member",
+            identity=identity,
+            name=member.name,
+            parameters={key: str(value) for key, value in member.parameters.items()},
+            losses=list(member.losses),
+            epochs={"loss_epoch": means, "images_per_s": list(member.images_per_s)},
+            data=dict(member.data),
+            figure=str(member.figure),
+        )
 
-        with self._client() as client:
-            parent = self._run(client, identity, {"mlflow.runName": f"ensemble {identity[:8]}"}, "")
-            child = self._run(client, identity, {"mlflow.runName": name, "mlflow.parentRunId": parent}, member=name)
-            now_ms = int(time.time() * 1000)
-            stride = max(1, len(losses) // 200)
-            metrics = [Metric("loss", losses[k], now_ms, k) for k in range(0, len(losses), stride)]
-            known = client.get_run(child).data.params
-            new = [Param(key, str(value)) for key, value in parameters.items() if key not in known]
-            if client.get_metric_history(child, "loss"):
-                metrics = []  # this member is known already
-            client.log_batch(child, metrics=metrics, params=new)
-            client.set_terminated(child)
+    def report(
+        self, identity: str, figures: Mapping[str, float], folder: pathlib.Path, data: Mapping[str, str]
+    ) -> str | None:
+        """Record a calibration report with the ensemble's run."""
+        values = {key: float(value) for key, value in figures.items()}
+        return self.call("report", identity=identity, figures=values, folder=str(folder), data=dict(data))
 
-    def report(self, identity: str, figures: Mapping[str, float], folder: pathlib.Path) -> None:
-        """Record the figures of a calibration report and its files with the ensemble's run."""
-        from mlflow.entities import Metric
+    def register(self, identity: str, folder: pathlib.Path) -> str | None:
+        """Register a frozen ensemble as challenger; a known one keeps its version."""
+        return self.call("register", identity=identity, folder=str(folder))
 
-        with self._client() as client:
-            run = self._run(client, identity, {"mlflow.runName": f"ensemble {identity[:8]}"}, "")
-            now_ms = int(time.time() * 1000)
-            client.log_batch(run, metrics=[Metric(k, float(v), now_ms, 0) for k, v in figures.items()])
-            client.log_artifacts(run, str(folder), "calibration_report")
-            client.set_terminated(run)
+    def call(self, kind: str, /, **arguments: Any) -> str | None:
+        """Write a call down, make what can be made; the address of its page, or None if it waits."""
+        try:
+            file = self.pending.add(kind, {**arguments, "tags": self.tags, "at_ms": int(time.time() * 1000)})
+        except OSError as error:
+            _log.warning("%s could not even be written down: %s", kind, error)
+            return None
+        address: str | None = self.replay().get(file)
+        return address
 
-    def register(self, identity: str, folder: pathlib.Path, tags: Mapping[str, str]) -> str:
-        """Log the frozen ``folder`` as a model, register it, and move the alias to it; unchanged content is kept."""
-        import mlflow
-
-        with self._client() as client:
-            for known in self._versions(client):
-                if known.tags.get("artifact") == folder.name:
-                    client.set_registered_model_alias(MODEL_NAME, ALIAS, known.version)
-                    return f"models:/{MODEL_NAME}@{ALIAS}"
-            run = self._run(client, identity, {"mlflow.runName": f"ensemble {identity[:8]}"}, "")
-            mlflow.set_tracking_uri(tracking_uri(self.home))
-            with mlflow.start_run(run_id=run), warnings.catch_warnings():
-                # it advises type hints and an input example; the signature below says more than either
-                warnings.simplefilter("ignore", UserWarning)
-                mlflow.pyfunc.log_model(
-                    name="ensemble",
-                    python_model=str(_MODEL_CODE),
-                    artifacts={"ensemble": str(folder)},
-                    code_paths=[str(PROJECT / "deltasafe")],
-                    pip_requirements=[f"{name}=={version(name)}" for name in _REQUIREMENTS],
-                    signature=_signature(),
-                    registered_model_name=MODEL_NAME,
-                )
-            newest = max(self._versions(client), key=lambda found: int(found.version))
-            for key, value in {**tags, "artifact": folder.name}.items():
-                client.set_model_version_tag(MODEL_NAME, newest.version, key, value)
-            client.set_registered_model_alias(MODEL_NAME, ALIAS, newest.version)
-        return f"models:/{MODEL_NAME}@{ALIAS}"
+    def replay(self) -> dict[pathlib.Path, Any]:
+        """Make the calls that wait, in order, each once; what they returned, by file."""
+        if not self.pending.files():
+            return {}
+        uri = tracking_uri(self.home)
+        if not is_reachable(uri):
+            _log.warning("%s is away; %d calls wait for it", uri, len(self.pending.files()))
+            return {}
+        try:
+            with self.records() as records:
+                return self.pending.make_all(records.make, lambda: is_reachable(uri))
+        except Exception as error:  # a database that cannot be opened: the calls wait
+            _log.warning("MLflow at %s cannot be used now (%s); %d calls wait", uri, error, len(self.pending.files()))
+            return {}
 
     @contextlib.contextmanager
-    def _client(self) -> "Iterator[MlflowClient]":
-        """A client, alone in the database: a fresh SQLite file does not survive two migrations at once."""
+    def records(self) -> Iterator[MlflowRecords]:
+        """MLflow, for one process at a time: a fresh SQLite file does not survive two migrations at once."""
         set_quiet_environment()
         (self.home / "mlflow").mkdir(parents=True, exist_ok=True)
         with FileLock(self.home / "mlflow" / "lock"):
-            from mlflow import MlflowClient
-
-            client = MlflowClient(tracking_uri(self.home))
-            if client.get_experiment_by_name(EXPERIMENT) is None:
-                client.create_experiment(EXPERIMENT, artifact_location=(self.home / "mlflow" / "artifacts").as_uri())
-            yield client
-
-    def _run(self, client: "MlflowClient", identity: str, tags: Mapping[str, str], member: str) -> str:
-        experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
-        query = f"tags.`{_IDENTITY}` = '{identity}' and tags.`{_MEMBER}` = '{member or '-'}'"
-        found = client.search_runs([experiment], query, max_results=1)
-        if found:
-            run_id: str = found[0].info.run_id
-        else:
-            run_id = client.create_run(
-                experiment, tags={**tags, _IDENTITY: identity, _MEMBER: member or "-"}
-            ).info.run_id
-        for key, value in self.tags.items():
-            client.set_tag(run_id, key, value)
-        return run_id
-
-    @staticmethod
-    def _versions(client: "MlflowClient") -> list[Any]:
-        return list(client.search_model_versions(f"name='{MODEL_NAME}'"))
+            yield MlflowRecords(tracking_uri(self.home), self.home)
 
 
-def _signature() -> Any:
-    import numpy as np
-    from mlflow.models import ModelSignature
-    from mlflow.types import Schema, TensorSpec
-
-    images = TensorSpec(np.dtype(np.uint8), (-1, -1, -1, 3), "images")
-    p_occupied = TensorSpec(np.dtype(np.float32), (-1, -1, -1), "p_occupied")
-    return ModelSignature(inputs=Schema([images]), outputs=Schema([p_occupied]))
+def is_reachable(uri: str, timeout_s: float = 5.0) -> bool:
+    """Whether something answers at the address of a server; a database in a file always is."""
+    if not uri.startswith(("http://", "https://")):
+        return True
+    try:
+        urllib.request.urlopen(f"{uri.rstrip('/')}/health", timeout=timeout_s).close()
+    except urllib.error.HTTPError:
+        return True  # it answers, if only to ask for a login
+    except (OSError, ValueError):
+        return False
+    return True

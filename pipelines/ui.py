@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 
-from pipelines.home import PROJECT, prepare_home, tracking_uri
+from pipelines.home import PROJECT, mlflow_ui, prepare_home, tracking_uri
 
 __all__ = ["main"]
 
@@ -21,16 +21,14 @@ def main() -> int:
     root = prepare_home()
     (root / "mlflow").mkdir(exist_ok=True)
     dagster = [sys.executable, "-m", "dagster", "dev", "-w", str(PROJECT / "workspace.yaml")]
-    mlflow = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", tracking_uri(root)]
-    commands = [
-        [*dagster, "-h", "127.0.0.1", "-p", str(options.port)],
-        [*mlflow, "--host", "127.0.0.1", "--port", str(options.mlflow_port)],
-    ]
-    print(f"Dagster: http://127.0.0.1:{options.port}")
-    print(
-        f"MLflow:  http://127.0.0.1:{options.mlflow_port}/#/experiments?workflowType=machine_learning",
-        flush=True,
-    )
+    commands = [[*dagster, "-h", "127.0.0.1", "-p", str(options.port)]]
+    os.environ.setdefault("DELTASAFE_DAGSTER_UI", f"http://127.0.0.1:{options.port}")
+    if not tracking_uri(root).startswith("http"):
+        os.environ.setdefault("DELTASAFE_MLFLOW_UI", f"http://127.0.0.1:{options.mlflow_port}")
+        mlflow = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", tracking_uri(root)]
+        commands.append([*mlflow, "--host", "127.0.0.1", "--port", str(options.mlflow_port)])
+    print(f"Dagster: {os.environ['DELTASAFE_DAGSTER_UI']}")
+    print(f"MLflow:  {mlflow_ui(tracking_uri(root))}/#/experiments?workflowType=machine_learning", flush=True)
     # a shell starts background jobs with SIGINT ignored; children would inherit that, and Dagster stops its own by it
     signal.signal(signal.SIGINT, signal.default_int_handler)
     running = [subprocess.Popen(command, cwd=PROJECT, start_new_session=True) for command in commands]
@@ -40,10 +38,11 @@ def main() -> int:
     except KeyboardInterrupt:
         print("\nStopping ...", flush=True)
     finally:
-        dagster_ui, mlflow_ui = running
+        dagster_ui, *others = running
         dagster_ui.terminate()  # the leader alone: it stops its children in order, and hangs if they die first
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(mlflow_ui.pid, signal.SIGTERM)  # the whole group: its leader passes nothing on
+        for other in others:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(other.pid, signal.SIGTERM)  # the whole group: its leader passes nothing on
         for process in running:
             try:
                 process.wait(timeout=30)

@@ -1,12 +1,13 @@
 """Which logged scenes take part: a list of folders, fixed once, so that later steps agree about it."""
 
 import pathlib
+from collections.abc import Sequence
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.scene import LoggedScene, load_scenes
 from deltasafe.storage import atomic_folder, read_json, sha256_of_file, write_json
 
-__all__ = ["load_selection", "select_scenes"]
+__all__ = ["load_selection", "select_scene", "select_scenes"]
 
 
 def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> tuple[LoggedScene, ...]:
@@ -20,13 +21,30 @@ def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> 
     if not 0 <= n_scenes <= len(scenes):
         raise SettingsError(f"n_scenes must lie between 0 (all) and {len(scenes)}, got {n_scenes}")
     chosen = scenes[: n_scenes or None]
+    _write(chosen, folder)
+    return tuple(chosen)
+
+
+def select_scene(source: pathlib.Path, folder: pathlib.Path) -> LoggedScene:
+    """Check the one scene in ``source`` and write it down.
+
+    Raises:
+        DataError: it is defective, or its id is not the name of its folder.
+    """
+    scene = LoggedScene.load(source)
+    if scene.id != source.name:
+        raise DataError(source, f"holds the scene {scene.id!r}; give the folder that name")
+    _write((scene,), folder)
+    return scene
+
+
+def _write(scenes: Sequence[LoggedScene], folder: pathlib.Path) -> None:
     record = [
         {"folder": str(scene.image_path.parent.resolve()), "image_sha256": sha256_of_file(scene.image_path)}
-        for scene in chosen
+        for scene in scenes
     ]
     with atomic_folder(folder) as temporary:
         write_json(temporary / "scenes.json", record)
-    return tuple(chosen)
 
 
 def load_selection(folder: pathlib.Path) -> tuple[LoggedScene, ...]:

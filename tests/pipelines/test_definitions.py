@@ -6,6 +6,7 @@ import itertools
 import dagster as dg
 import pytest
 
+from assets.interfaces import Store
 from deltasafe.errors import SettingsError
 from deltasafe.presets import PRESETS, VARIABLE, active
 from pipelines.build import build_defs
@@ -17,12 +18,14 @@ CHAIN = [
     "ensemble_member",
     "calibration_report",
     "frozen_ensemble",
+    "champion",
     "occupancy_fields",
     "planned_motions",
     "executed_motions",
     "safety_report",
 ]
 STUDY = {"study_cell", "augmentation_tables", "ensemble_size", "augmentation_ablation"}
+SINGLE_SCENE = {"logged_scene", "scene_motion", "scene_execution"}
 PLANNER_STUDY = {"planner_costs", "planner_times", "planner_report"}
 
 
@@ -37,20 +40,20 @@ def specs(defs):
 
 def test_data_flows_one_way_through_the_chain(defs):
     found = specs(defs)
-    assert set(found) == {*CHAIN, *STUDY, *PLANNER_STUDY, "test_hands", "logged_scenes"}
+    assert set(found) == {*CHAIN, *STUDY, *PLANNER_STUDY, *SINGLE_SCENE, "test_hands", "logged_scenes"}
     for before, after in itertools.pairwise(CHAIN):
         upstream = {dep.asset_key.to_user_string() for dep in found[after].deps}
         assert before in upstream, f"{after} does not follow {before}"
     assert not found["raw_hands"].deps
 
 
-def test_test_images_enter_at_the_calibration_report_and_nowhere_before(defs):
+def test_no_training_reads_test_images(defs):
     readers = {
         name
         for name, spec in specs(defs).items()
         if "test_hands" in {dep.asset_key.to_user_string() for dep in spec.deps}
     }
-    assert readers == {"calibration_report", "study_cell"}
+    assert readers == {"calibration_report", "champion", "study_cell"}
     assert {name for name, spec in specs(defs).items() if spec.group_name == "study"} == STUDY
 
 
@@ -68,7 +71,7 @@ def test_everything_is_described_owned_and_versioned(defs):
         assert spec.owners, name
         assert spec.kinds, name
         assert spec.code_version, name
-        assert spec.group_name in ("perception", "motion", "study", "planner_study"), name
+        assert spec.group_name in ("perception", "motion", "single_scene", "study", "planner_study"), name
 
 
 def test_checks_before_the_freeze_block_it(defs):
@@ -194,3 +197,99 @@ def test_a_member_that_did_not_learn_is_found(tmp_path):
     good, bad = tmp_path / "good", tmp_path / "bad"
     assert every_member_learned(tmp_path, {"member_00": good}).passed
     assert not every_member_learned(tmp_path, {"member_00": good, "member_01": bad}).passed
+
+
+@pytest.mark.parametrize(
+    ("step", "config", "told"),
+    [
+        ("ensemble_member", {"training": {"epochs": 0}}, "training: epochs must be at least 1, got 0"),
+        ("champion", {"level": 2.0}, "level must lie in"),
+        ("may_be_frozen", {"miou": 3.0}, "miou must lie in"),
+    ],
+)
+def test_a_wrong_setting_is_refused_before_anything_runs(tmp_path, step, config, told):
+    """The first step that asks for the store says so, though the setting is meant for a much later one."""
+    from pipelines.launch_check import refuse_wrong_settings
+
+    with pytest.raises(dg.Failure, match=told) as refused:
+        refuse_wrong_settings({"ops": {step: {"config": config}}})
+    assert not refused.value.allow_retries
+
+
+def test_a_run_with_a_wrong_setting_computes_nothing(tmp_path):
+    from assets.perception import champion, frozen_ensemble
+    from pipelines.resources import StoreResource
+
+    reached = []
+
+    @dg.asset
+    def first(store: dg.ResourceParam[Store]):
+        reached.append(store)
+
+    plain = {"tracker": object(), "registry": object()}
+    resources = {"store": StoreResource(home=str(tmp_path), datasets=str(tmp_path)), **plain}
+    job = dg.Definitions([first, champion, frozen_ensemble], resources=resources)
+    whole = job.resolve_implicit_global_asset_job_def()
+    result = whole.execute_in_process(
+        run_config={"ops": {"champion": {"config": {"level": 2.0}}}},
+        asset_selection=[dg.AssetKey("first"), dg.AssetKey("champion")],
+        raise_on_error=False,
+    )
+    assert not result.success
+    assert reached == []
+
+
+def test_settings_that_are_fine_pass_the_same_look():
+    from pipelines.launch_check import refuse_wrong_settings
+
+    refuse_wrong_settings({"ops": {"ensemble_member": {"config": {"training": {"epochs": 3}}}, "raw_hands": {}}})
+
+
+def test_bad_input_is_not_tried_again_and_bad_luck_is():
+    from assets.operation import fails_for_good
+    from deltasafe.errors import DataError
+
+    tries = []
+
+    @dg.asset(retry_policy=dg.RetryPolicy(max_retries=2))
+    @fails_for_good
+    def reader(context: dg.AssetExecutionContext):
+        tries.append(context.retry_number)
+        raise DataError("a.png", "is no readable image") if hopeless else OSError("the disk was busy")
+
+    for hopeless, expected in ((True, 1), (False, 3)):  # noqa: B007
+        tries.clear()
+        result = dg.materialize([reader], raise_on_error=False)
+        assert len(tries) == expected
+    assert not result.success
+
+
+def test_what_uses_all_cores_shares_one_pool_and_what_may_fail_by_chance_is_tried_again(defs):
+    heavy = {"augmented_hands", "ensemble_member", "calibration_report", "planned_motions", "executed_motions"}
+    ops = {d.key.to_user_string(): d.op for d in defs.assets if isinstance(d, dg.AssetsDefinition)}
+    for name in heavy | {"study_cell", "planner_costs", "planner_times", "scene_motion", "scene_execution"}:
+        assert ops[name].pool == "all_cores", name
+    for name in heavy:
+        policy = ops[name].retry_policy
+        assert (policy.backoff, policy.jitter) == (dg.Backoff.EXPONENTIAL, dg.Jitter.PLUS_MINUS), name
+
+
+def test_a_page_stays_small_whatever_is_shown(tmp_path):
+    import numpy as np
+    from PIL import Image
+
+    from assets.reporting import inline_picture, inline_report
+
+    rng = np.random.default_rng(0)
+    names = [f"{k}.png" for k in range(12)]
+    for name in names:
+        Image.fromarray(rng.integers(0, 256, (600, 800, 3), dtype=np.uint8)).save(tmp_path / name)
+    frames = [Image.fromarray(rng.integers(0, 256, (200, 300, 3), dtype=np.uint8)) for _ in range(5)]
+    frames[0].save(tmp_path / "film.gif", save_all=True, append_images=frames[1:])
+    (tmp_path / "report.md").write_text("# All\n" + "\n".join(f"![picture {name}]({name})" for name in names))
+    report = inline_report(tmp_path / "report.md").value
+    assert len(report) < 100_000
+    assert report.count("data:image/jpeg") >= 3
+    assert all(f"picture {name}" in report for name in names), "those that do not fit are named"
+    for name in ("0.png", "film.gif"):
+        assert len(inline_picture(tmp_path / name, 40_000).value) < 40_000

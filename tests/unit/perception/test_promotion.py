@@ -4,21 +4,17 @@ import dataclasses
 import pathlib
 import shutil
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deltasafe.errors import ArtifactError, SettingsError
-from deltasafe.perception.artifact import freeze_ensemble
-from deltasafe.perception.calibration import Calibration
 from deltasafe.perception.hands import HandSet
-from deltasafe.perception.member import Member
 from deltasafe.perception.metrics import ImageScores, score_image
-from deltasafe.perception.network import build_network
 from deltasafe.perception.promotion import compare_ensembles, judge_challenger, scores_on
-from deltasafe.perception.settings import InferenceSettings, NetworkSettings, PromotionSettings
+from deltasafe.perception.settings import PromotionSettings
+from tests.ensembles import freeze_constant, write_hands
 
 USUAL = PromotionSettings()
 
@@ -103,44 +99,11 @@ def test_settings_outside_their_domain_are_refused(change):
 # with real ensembles ---------------------------------------------------------------------------------------------
 
 
-def freeze(parent, seed, bias):
-    """A network whose answer is nearly the same everywhere: the bias of its last layer decides how good it is."""
-    import torch
-
-    network = NetworkSettings(pretrained=False, pyramid_channels=16)
-    record = {"settings": {"network": dataclasses.asdict(network)}, "data_digest": "d" * 64, "seed": seed}
-    built = build_network(network, seed)
-    last = [module for module in built.modules() if isinstance(module, torch.nn.Conv2d)][-1]
-    torch.nn.init.zeros_(last.weight)
-    torch.nn.init.constant_(last.bias, bias)
-    member = Member.write(parent / f"member-{seed}-{bias}", built, record)
-    calibration = Calibration(
-        n_images=4,
-        n_members=1,
-        pixel_accuracy=0.9,
-        miou=0.8,
-        brier=0.1,
-        nll=0.3,
-        expected_calibration_error=0.01,
-        smallest_supported_delta=0.05,
-    )
-    golden = np.zeros((48, 64, 3), np.uint8)
-    return freeze_ensemble([member], InferenceSettings(64, 48), calibration, golden, parent / "frozen")
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     root = tmp_path_factory.mktemp("promotion")
-    for name in ("images", "masks"):
-        (root / "test" / name).mkdir(parents=True)
-    rng = np.random.default_rng(0)
-    for k in range(4):
-        mask = np.zeros((48, 64), np.uint8)
-        mask[: 4 + k, :10] = 255
-        cv2.imwrite(str(root / "test" / "images" / f"{k}.png"), rng.integers(0, 256, (48, 64, 3), dtype=np.uint8))
-        cv2.imwrite(str(root / "test" / "masks" / f"{k}.png"), mask)
-    good, bad = freeze(root, 0, -3.0), freeze(root, 1, 1.0)
-    return HandSet.load(root / "test"), good, bad, root / "scores"
+    good, bad = freeze_constant(root, -3.0), freeze_constant(root, 1.0)
+    return HandSet.load(write_hands(root / "test")), good, bad, root / "scores"
 
 
 def test_the_first_is_promoted_and_the_same_again(made):

@@ -1,0 +1,46 @@
+"""How assets are run: what is tried again, what never runs side by side, what follows when data change."""
+
+import functools
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+import dagster as dg
+
+from deltasafe.errors import DeltasafeError
+
+__all__ = ["ALL_CORES", "ON_NEW_DATA", "TWICE_MORE", "fails_for_good"]
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+ALL_CORES = "all_cores"
+"""Pool of the steps that use every core by themselves: one at a time, in whichever runs they are."""
+
+TWICE_MORE = dg.RetryPolicy(max_retries=2, delay=10.0, backoff=dg.Backoff.EXPONENTIAL, jitter=dg.Jitter.PLUS_MINUS)
+"""For what fails by chance: a killed process, a full memory. A training goes on from its checkpoint."""
+
+_Condition = dg.AutomationCondition
+
+ON_NEW_DATA = (
+    _Condition.any_deps_match(
+        (_Condition.data_version_changed() & ~_Condition.executed_with_root_target()) | _Condition.will_be_requested()
+    ).since_last_handled()
+    & ~_Condition.any_deps_missing()
+    & ~_Condition.any_deps_in_progress()
+    & ~_Condition.in_progress()
+    & _Condition.all_deps_blocking_checks_passed()
+).with_label("something that it is made from has changed")
+"""A dependency has other data than before (not merely been made again), and every blocking check on the way passed."""
+
+
+def fails_for_good(made: Callable[P, T]) -> Callable[P, T]:
+    """Wrong input and wrong settings fail at once: another try would end in the same words."""
+
+    @functools.wraps(made)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            return made(*args, **kwargs)
+        except DeltasafeError as error:
+            raise dg.Failure(f"{type(error).__name__}: {error}", allow_retries=False) from error
+
+    return wrapped

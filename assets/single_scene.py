@@ -1,0 +1,147 @@
+"""One newly logged scene at a time, each a partition: what the ensemble in use sees, the motion, its execution."""
+
+import pathlib
+
+import dagster as dg
+
+from assets.config import configurable
+from assets.interfaces import Store
+from assets.operation import ALL_CORES, TWICE_MORE, fails_for_good
+from assets.progress import progress_of
+from assets.reporting import folder_facts, inline_picture
+from deltasafe import presets
+
+PRESET = presets.active()
+GROUP = "single_scene"
+OWNERS = ["team:motion"]
+
+scenes = dg.DynamicPartitionsDefinition(name="scenes")
+
+FieldConfig = configurable(PRESET.field)
+PlannerConfig = configurable(PRESET.motion)
+ExecutionConfig = configurable(PRESET.execution)
+
+
+class SceneConfig(dg.Config):
+    """`folder` holds a folder of the partition's name with scene.json in it; empty for the packaged scenes."""
+
+    folder: str = ""
+
+
+class SceneMotionConfig(dg.Config):
+    """How the field is made, and how the motion is planned in it."""
+
+    field: FieldConfig = FieldConfig()
+    motion: PlannerConfig = PlannerConfig()
+    seed: int = 0
+
+
+class SceneExecutionConfig(dg.Config):
+    """`seed` draws the arm's friction."""
+
+    execution: ExecutionConfig = ExecutionConfig()
+    seed: int = 0
+
+
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image", "json"}, code_version="1", partitions_def=scenes)
+@fails_for_good
+def logged_scene(
+    context: dg.AssetExecutionContext, config: SceneConfig, store: dg.ResourceParam[Store]
+) -> dg.Output[pathlib.Path]:
+    """A scene that was logged just now: image, camera, start and goal, checked."""
+    from deltasafe.storage import sha256_of_file
+    from deltasafe.trials.selection import select_scene
+
+    source, _ = store.dataset(config.folder, "scenes")
+    folder = store.folder("logged_scene", f"{context.partition_key}-{context.run_id[:8]}")
+    scene = select_scene(source / context.partition_key, folder)
+    version = sha256_of_file(folder / "scenes.json")[:16]
+    metadata = {"image": inline_picture(scene.image_path, 60_000), **folder_facts(scene.image_path.parent, version)}
+    return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
+
+
+@dg.asset(
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"pytorch", "numba"},
+    code_version="1",
+    partitions_def=scenes,
+    pool=ALL_CORES,
+    retry_policy=TWICE_MORE,
+)
+@fails_for_good
+def scene_motion(
+    context: dg.AssetExecutionContext,
+    config: SceneMotionConfig,
+    logged_scene: pathlib.Path,
+    champion: pathlib.Path,
+    store: dg.ResourceParam[Store],
+) -> dg.Output[pathlib.Path]:
+    """What the ensemble in use sees in the scene, and a delta-safe motion through it, or why there is none."""
+    from deltasafe.trials.single_scene import plan_scene
+
+    folder = store.folder("scene_motion", f"{context.partition_key}-{context.run_id[:8]}")
+    settings, field = config.motion.settings(), config.field.settings()
+    motion = plan_scene(logged_scene, champion, folder, field, settings, config.seed, progress_of(context))
+    plan = inline_picture(folder / "motions" / context.partition_key / "plan.png", 60_000)
+    facts = {"safe motion": motion.is_safe, "reason": motion.reason, "ensemble": champion.name}
+    return dg.Output(folder, metadata={"plan": plan, **facts, **folder_facts(folder)})
+
+
+@dg.asset(
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"bullet", "markdown"},
+    code_version="1",
+    partitions_def=scenes,
+    pool=ALL_CORES,
+    retry_policy=TWICE_MORE,
+)
+@fails_for_good
+def scene_execution(
+    context: dg.AssetExecutionContext,
+    config: SceneExecutionConfig,
+    logged_scene: pathlib.Path,
+    scene_motion: pathlib.Path,
+    store: dg.ResourceParam[Store],
+) -> dg.Output[pathlib.Path]:
+    """The motion on the simulated arm beside the true hand, and whether it was safe."""
+    from deltasafe.trials.single_scene import execute_scene
+
+    folder = store.folder("scene_execution", f"{context.partition_key}-{context.run_id[:8]}")
+    report = execute_scene(
+        logged_scene, scene_motion, folder, config.execution.settings(), config.seed, progress_of(context)
+    )
+    summary = dg.MetadataValue.md((folder / "report" / "summary.md").read_text(encoding="utf-8"))
+    return dg.Output(folder, metadata={"report": summary, **report.figures(), **folder_facts(folder)})
+
+
+@dg.asset_check(
+    asset="scene_motion",
+    additional_ins={"logged_scene": dg.AssetIn("logged_scene")},
+    partitions_def=scenes,
+    blocking=True,
+    description="An audit that shares no code with the planner finds no unsafe point on the trajectory.",
+)
+def audit_of_the_scene(scene_motion: pathlib.Path, logged_scene: pathlib.Path) -> dg.AssetCheckResult:
+    from deltasafe.trials.audit import audit_motions
+    from deltasafe.trials.selection import load_selection
+
+    audits = audit_motions(load_selection(logged_scene), scene_motion / "fields", scene_motion / "motions")
+    unsafe = sum(audit.unsafe_poses for audit in audits.values())
+    poses = sum(audit.poses for audit in audits.values())
+    description = f"{unsafe} of {poses} poses are unsafe" if audits else "there is no motion to look at"
+    return dg.AssetCheckResult(passed=unsafe == 0, description=description, metadata={"poses": poses})
+
+
+@dg.asset_check(
+    asset="scene_execution",
+    partitions_def=scenes,
+    description="What was executed was completed, touched nothing, and was delta-safe at every pose.",
+)
+def execution_of_the_scene_was_safe(scene_execution: pathlib.Path) -> dg.AssetCheckResult:
+    from deltasafe.trials.safety_report import read_figures
+
+    figures = read_figures(scene_execution / "report")
+    passed = figures["contacts"] == 0 and figures["scenes_safe"] == figures["scenes_executed"]
+    return dg.AssetCheckResult(passed=passed, metadata=figures)

@@ -1,0 +1,69 @@
+"""One logged scene through the steps of the many: seen and planned in one folder, executed and judged in another."""
+
+import pathlib
+
+from deltasafe.execution.simulate import ExecutionSettings
+from deltasafe.perception.artifact import load_ensemble
+from deltasafe.planning import MotionSettings, PlannedMotion
+from deltasafe.progress import Progress, silent
+from deltasafe.scene import FieldSettings
+from deltasafe.storage import atomic_folder
+from deltasafe.trials.executions import execute_scenes
+from deltasafe.trials.fields import write_fields
+from deltasafe.trials.motions import load_motion, plan_scenes
+from deltasafe.trials.safety_report import SafetyReport
+from deltasafe.trials.safety_writing import write_safety_report
+from deltasafe.trials.selection import load_selection
+
+__all__ = ["execute_scene", "plan_scene"]
+
+
+def plan_scene(
+    selection: pathlib.Path,
+    ensemble: pathlib.Path,
+    folder: pathlib.Path,
+    field: FieldSettings,
+    motion: MotionSettings,
+    seed: int,
+    progress: Progress = silent,
+) -> PlannedMotion:
+    """What the frozen ``ensemble`` sees in the scene of ``selection``, and a motion through it.
+
+    Args:
+        selection: folder of `select_scene`.
+        ensemble: folder of a frozen ensemble.
+        folder: gets ``fields/`` and ``motions/``, whole or not at all.
+
+    Raises:
+        SettingsError: the ensemble's calibration does not support the delta of ``motion``.
+        DataError: a file of the scene is defective.
+    """
+    scenes, loaded = load_selection(selection), load_ensemble(ensemble)
+    with atomic_folder(folder) as temporary:
+        fields, motions = temporary / "fields", temporary / "motions"
+        write_fields(loaded, scenes, fields, field, progress)
+        plan_scenes(scenes, fields, motions, motion, loaded.calibration, seed, progress)
+    return load_motion(folder / "motions", scenes[0].id)
+
+
+def execute_scene(
+    selection: pathlib.Path,
+    planned: pathlib.Path,
+    folder: pathlib.Path,
+    settings: ExecutionSettings,
+    seed: int,
+    progress: Progress = silent,
+) -> SafetyReport:
+    """The motion of `plan_scene` on the simulated arm, and the verdict.
+
+    Args:
+        planned: folder of `plan_scene`.
+        folder: gets ``executions/`` and ``report/``, whole or not at all.
+    """
+    scenes, fields, motions = load_selection(selection), planned / "fields", planned / "motions"
+    with atomic_folder(folder) as temporary:
+        executions = temporary / "executions"
+        execute_scenes(scenes, fields, motions, executions, settings, seed, progress=progress)
+        return write_safety_report(
+            scenes, fields, motions, executions, temporary / "report", n_films=0, progress=progress
+        )

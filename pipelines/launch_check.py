@@ -1,0 +1,55 @@
+"""Settings of a whole run are looked at before its first step works: a wrong one must not fail an hour later.
+
+The launchpad checks names and types; what is a sensible value is known to the library's settings alone.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import dagster as dg
+
+from assets.config import SettingsConfig
+from deltasafe.errors import SettingsError
+
+__all__ = ["refuse_wrong_settings"]
+
+
+def refuse_wrong_settings(run_config: Mapping[str, Any]) -> None:
+    """Try every setting in a run's configuration.
+
+    Raises:
+        dg.Failure: names each wrong one with the step that it is meant for; not tried again.
+    """
+    classes, wrong = _config_classes(), []
+    for step, given in run_config.get("ops", {}).items():
+        if step in classes and given.get("config"):
+            wrong += [f"{step}: {error}" for error in _errors(classes[step](**given["config"]))]
+    if wrong:
+        raise dg.Failure(f"nothing was run, since settings are wrong: {'; '.join(wrong)}", allow_retries=False)
+
+
+def _errors(config: dg.Config) -> Iterator[str]:
+    if isinstance(config, SettingsConfig):
+        try:
+            config.settings()
+        except SettingsError as error:
+            yield str(error)
+        return
+    for name in type(config).model_fields:
+        value = getattr(config, name)
+        if isinstance(value, dg.Config):
+            yield from (f"{name}: {error}" for error in _errors(value))
+
+
+def _config_classes() -> dict[str, type[dg.Config]]:
+    """The config class of each step that has one, by the name of the step."""
+    import assets
+
+    found = {}
+    loaded = [*dg.load_assets_from_package_module(assets), *dg.load_asset_checks_from_package_module(assets)]
+    for definition in loaded:
+        op = getattr(definition, "node_def", None)
+        config = op.compute_fn.get_config_arg() if op is not None and op.compute_fn.has_config_arg() else None
+        if config is not None:
+            found[op.name] = config.annotation
+    return found
