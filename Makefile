@@ -2,6 +2,7 @@
 # make test  sets everything up and runs the checks and tests
 # make hands OUT=folder N=50 SET=test-like  and  make scenes OUT=folder N=100  render more pictures (docs/data.md)
 # make benchmarks  measures this machine: training, inference, the paper's preset (leave it alone meanwhile)
+# make registry  lists the versions of the ensemble;  make rollback BECAUSE='...'  puts the one before in use again
 # make ui    opens the Dagster UI (and MLflow's) on the same storage
 #
 # TORCH_INDEX=https://download.pytorch.org/whl/cpu makes the installation smaller on machines without a GPU.
@@ -15,7 +16,7 @@ STAMP := $(VENV)/.installed
 REQUIREMENTS := -e .[vision,sim] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: hands scenes surroundings demo test ui check lock clean record study planner-study safety-study benchmarks
+.PHONY: registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study benchmarks
 
 demo: $(STAMP)
 	$(BIN)/python -m pipelines.demo
@@ -58,6 +59,13 @@ check: $(STAMP)
 
 ui: $(STAMP)
 	$(BIN)/python -m pipelines.ui
+
+registry: $(STAMP)
+	$(BIN)/python -m pipelines.registry list
+
+BECAUSE ?= no reason given
+rollback: $(STAMP)
+	$(BIN)/python -m pipelines.registry rollback --because '$(BECAUSE)'
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
