@@ -13,7 +13,7 @@ TORCH_INDEX ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-REQUIREMENTS := -e .[vision,sim] --group orchestration --group dev
+REQUIREMENTS := -e .[vision,sim,mcap] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
 .PHONY: registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study benchmarks
@@ -85,7 +85,7 @@ $(STAMP): pyproject.toml constraints.txt
 # constraints.txt: newest versions that install together, free of hosts
 lock:
 	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \
-	  --extra vision --extra sim --group orchestration --group dev --group generator pyproject.toml -o constraints.txt
+	  --extra vision --extra sim --extra mcap --group orchestration --group dev --group generator pyproject.toml -o constraints.txt
 
 # more rendered hands and scenes; `make surroundings` fetches light and surfaces once, without it they are procedural
 RENDERER := $(VENV)/.renderer-installed
