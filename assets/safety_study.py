@@ -6,8 +6,9 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Store
+from assets.operation import ALL_CORES, fails_for_good
 from assets.progress import progress_of
-from assets.reporting import Metadata, inline_picture
+from assets.reporting import Metadata, folder_facts, inline_picture
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -20,7 +21,7 @@ StudyConfig = configurable(PRESET.safety_study)
 class TrialsConfig(dg.Config):
     """`scenes` are folders of scene folders, none for the packaged ones; `n_scenes` (0: all) are taken of each.
 
-    `ensemble` is the folder of a frozen one; empty for the home's.
+    `ensemble` is the folder of a frozen one; empty for the one in use.
     """
 
     study: StudyConfig = StudyConfig()
@@ -31,8 +32,14 @@ class TrialsConfig(dg.Config):
 
 
 @dg.asset(
-    group_name=GROUP, owners=OWNERS, kinds={"bullet", "numba", "pytorch"}, code_version="1", deps=["frozen_ensemble"]
+    group_name=GROUP,
+    owners=OWNERS,
+    kinds={"bullet", "numba", "pytorch"},
+    code_version="1",
+    deps=["champion"],
+    pool=ALL_CORES,
 )
+@fails_for_good
 def safety_trials(
     context: dg.AssetExecutionContext, config: TrialsConfig, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
@@ -41,17 +48,18 @@ def safety_trials(
 
     folders = config.scenes or [str(store.dataset("", "scenes")[0])]
     inputs = StudyInputs.gather(
-        folders, config.ensemble or context.load_asset_value(dg.AssetKey("frozen_ensemble")), config.n_scenes
+        folders, config.ensemble or context.load_asset_value(dg.AssetKey("champion")), config.n_scenes
     )
     batches = store.folder("safety_trials", "batches")
     found = run_study(config.study.settings(), inputs, batches, config.workers, progress_of(context))
     folder = store.folder("safety_trials", context.run_id[:8])
     found.save(folder)
-    metadata = {"executed": int(found.executed.sum()), "trials": len(found.executed), "minutes": found.effort.minutes}
-    return dg.Output(folder, metadata=metadata)
+    counts = {"executed": int(found.executed.sum()), "trials": len(found.executed), "minutes": found.effort.minutes}
+    return dg.Output(folder, metadata={**counts, **folder_facts(folder)})
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1")
+@fails_for_good
 def safety_study_report(
     context: dg.AssetExecutionContext, safety_trials: pathlib.Path, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
@@ -60,12 +68,12 @@ def safety_study_report(
 
     folder = store.folder("safety_study_report", context.run_id[:8])
     figures = write_safety_study(SafetyStudy.load(safety_trials), folder, progress_of(context, every_s=2.0))
-    films = [inline_picture(film) for film in sorted(folder.glob("*.gif"))[:1]]
+    films = [inline_picture(film, 30_000) for film in sorted(folder.glob("*.gif"))[:1]]
     metadata: Metadata = {
         "report": dg.MetadataValue.md((folder / "report.md").read_text(encoding="utf-8")),
-        **{name: inline_picture(folder / f"{name}.png") for name in ("rates", "clearances", "speed")},
+        **{name: inline_picture(folder / f"{name}.png", 25_000) for name in ("rates", "clearances", "speed")},
         **({"first failure": films[0]} if films else {}),
         **figures,
-        "folder": str(folder),
+        **folder_facts(folder),
     }
     return dg.Output(folder, metadata=metadata)

@@ -28,7 +28,12 @@ def main() -> int:
     parser.add_argument("--record", type=pathlib.Path, help="also merge the figures into this file (docs/results/...)")
     parser.add_argument("--scenes", type=pathlib.Path, nargs="+", metavar="DIR", help="folders of scenes; the packaged")
     parser.add_argument("--executions", type=int, help="motions to execute at least")
-    parser.add_argument("--ensemble", type=pathlib.Path, metavar="DIR", help="a frozen ensemble; the home's by default")
+    parser.add_argument(
+        "--ensemble", type=pathlib.Path, metavar="DIR", help="a frozen ensemble; the one in use by default"
+    )
+    parser.add_argument(
+        "--gamma", type=float, nargs=2, metavar=("GAMMA0_M", "GAMMA1_S"), help="tracking bound; the paper's by default"
+    )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one a core by default")
     parser.add_argument("--film", type=int, metavar="TRIAL", help="only film this trial of the last run")
     options = parser.parse_args()
@@ -39,9 +44,12 @@ def main() -> int:
 
     import dagster as dg
 
-    trials: dict[str, Any] = {"workers": options.workers}
+    study: dict[str, Any] = {}
     if options.executions is not None:
-        trials["study"] = {"n_executions": options.executions}
+        study["n_executions"] = options.executions
+    if options.gamma:
+        study["tracking"] = dict(zip(("gamma0_m", "gamma1_s"), options.gamma, strict=True))
+    trials: dict[str, Any] = {"workers": options.workers, "study": study}
     if options.scenes:
         trials["scenes"] = [str(folder.expanduser().resolve()) for folder in options.scenes]
     if options.ensemble:
@@ -105,6 +113,7 @@ def _record(options: argparse.Namespace, figures: dict[str, float], folder: path
     given += ["python -m pipelines.safety_study"]
     given += ["--scenes", *(folder.name for folder in options.scenes)] if options.scenes else []
     given += ["--executions", str(options.executions)] if options.executions is not None else []
+    given += ["--gamma", *(f"{value:g}" for value in options.gamma)] if options.gamma else []
     part = {
         "figures": figures,
         "command": " ".join(given),

@@ -200,12 +200,12 @@ _NOT_OF_A_TRIAL = ("n_executions", "n_bootstrap", "n_films")
 
 
 def _more(settings: SafetyStudySettings, executed: int, situations: int) -> int:
-    """How many situations to add: what is missing by the rate so far, a little less, so that few are in vain."""
-    per_situation = executed / situations if executed else 1.0 * _trials_per_situation(settings)
-    if situations and not executed:
+    """How many situations to add: at first as if few were refused, then what is missing by the rate so far."""
+    if situations == 0:
+        return max(1, math.floor(settings.n_executions / _trials_per_situation(settings)))
+    if executed == 0:
         return MOST_BARREN
-    missing = (settings.n_executions - executed) / per_situation
-    return max(1, math.floor(0.9 * missing))
+    return math.ceil(1.02 * (settings.n_executions - executed) * situations / executed)
 
 
 def _trials_per_situation(settings: SafetyStudySettings) -> float:

@@ -27,6 +27,7 @@ CHAIN = [
 STUDY = {"study_cell", "augmentation_tables", "ensemble_size", "augmentation_ablation"}
 SINGLE_SCENE = {"logged_scene", "scene_motion", "scene_execution"}
 PLANNER_STUDY = {"planner_costs", "planner_times", "planner_report"}
+SAFETY_STUDY = {"safety_trials", "safety_study_report"}
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ def specs(defs):
 
 def test_data_flows_one_way_through_the_chain(defs):
     found = specs(defs)
-    assert set(found) == {*CHAIN, *STUDY, *PLANNER_STUDY, *SINGLE_SCENE, "test_hands", "logged_scenes"}
+    assert set(found) == {*CHAIN, *STUDY, *PLANNER_STUDY, *SAFETY_STUDY, *SINGLE_SCENE, "test_hands", "logged_scenes"}
     for before, after in itertools.pairwise(CHAIN):
         upstream = {dep.asset_key.to_user_string() for dep in found[after].deps}
         assert before in upstream, f"{after} does not follow {before}"
@@ -71,7 +72,9 @@ def test_everything_is_described_owned_and_versioned(defs):
         assert spec.owners, name
         assert spec.kinds, name
         assert spec.code_version, name
-        assert spec.group_name in ("perception", "motion", "single_scene", "study", "planner_study"), name
+        assert spec.group_name in ("perception", "motion", "single_scene", "study", "planner_study", "safety_study"), (
+            name
+        )
 
 
 def test_checks_before_the_freeze_block_it(defs):
