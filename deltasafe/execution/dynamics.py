@@ -80,7 +80,10 @@ class ChainModel(NamedTuple):
         return cls(
             np.array([*rotations, rotation]),
             np.array([*offsets, offset]),
-            *(np.array(values, dtype=np.float64) for values in (axes, masses, centres, inertias)),
+            np.array(axes),
+            np.array(masses),
+            np.array(centres),
+            np.array(inertias),
             np.array(base_rotation, dtype=np.float64),
             np.array(base_m, dtype=np.float64),
             np.array(gravity_mps2, dtype=np.float64),

@@ -1,0 +1,77 @@
+"""Settings of the identification of the tracking bound."""
+
+import dataclasses
+import math
+
+from deltasafe.errors import SettingsError
+
+__all__ = ["TrackingStudySettings"]
+
+
+@dataclasses.dataclass(frozen=True)
+class TrackingStudySettings:
+    """How many motions of what kind, and what the bound shall promise.
+
+    Attributes:
+        n_slope_runs: runs that choose the slope, and nothing else.
+        n_bound_runs: other runs, whose largest excess is the bound's constant.
+        n_held_out_runs: other runs again, on which the bound is tested.
+        runs_per_batch: motions done, and stored, at once.
+        first_seed: run k of all, in this order, has the seed ``first_seed`` + k: motion, friction and sensors.
+        content, confidence: with this confidence at least this share of all such runs lies within the bound.
+        v_min_mps, v_max_mps: range of speeds, drawn evenly.
+        accelerations_mps2: of speeding up and of braking, drawn one by one; the largest is the schedule's.
+        yaw_rate_radps: largest turn rate.
+        lower_m, upper_m: box of the tool's positions.
+        record_rate_hz: of the errors.
+    """
+
+    n_slope_runs: int = 200
+    n_bound_runs: int = 600
+    n_held_out_runs: int = 1000
+    runs_per_batch: int = 50
+    first_seed: int = 0
+    content: float = 0.99
+    confidence: float = 0.95
+    v_min_mps: float = 0.005
+    v_max_mps: float = 0.2
+    accelerations_mps2: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5)
+    yaw_rate_radps: float = 1.0
+    lower_m: tuple[float, float, float] = (-0.17, -0.12, 0.02)
+    upper_m: tuple[float, float, float] = (0.17, 0.12, 0.2)
+    record_rate_hz: float = 200.0
+
+    def __post_init__(self) -> None:
+        for name in ("n_slope_runs", "n_bound_runs", "n_held_out_runs", "runs_per_batch"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("content", "confidence"):
+            if not 0 < getattr(self, name) < 1:
+                raise SettingsError(f"{name} must lie in (0, 1), got {getattr(self, name)}")
+        least = self.least_bound_runs
+        if self.n_bound_runs < least:
+            raise SettingsError(
+                f"n_bound_runs must be at least {least} for {self.content:.0%} at {self.confidence:.0%} confidence, "
+                f"got {self.n_bound_runs}"
+            )
+        if not 0 < self.v_min_mps <= self.v_max_mps < math.inf:
+            raise SettingsError(f"speeds need 0 < v_min <= v_max, got {self.v_min_mps} and {self.v_max_mps}")
+        for name in ("accelerations_mps2", "yaw_rate_radps", "record_rate_hz"):
+            values = getattr(self, name)
+            values = values if isinstance(values, tuple) else (values,)
+            if not values or not all(math.isfinite(value) and value > 0 for value in values):
+                raise SettingsError(f"{name} must be positive, got {getattr(self, name)}")
+        if len(self.lower_m) != 3 or len(self.upper_m) != 3:
+            raise SettingsError("lower_m and upper_m must be points of three coordinates")
+        if not all(low < high for low, high in zip(self.lower_m, self.upper_m, strict=True)):
+            raise SettingsError(f"lower_m must lie below upper_m, got {self.lower_m} and {self.upper_m}")
+
+    @property
+    def least_bound_runs(self) -> int:
+        """Smallest n with 1 - content^n >= confidence (Wilks 1941): 299 for 99 % at 95 %."""
+        return math.ceil(math.log(1 - self.confidence) / math.log(self.content) - 1e-12)
+
+    @property
+    def n_runs(self) -> int:
+        """All runs."""
+        return self.n_slope_runs + self.n_bound_runs + self.n_held_out_runs
