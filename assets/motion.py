@@ -55,13 +55,17 @@ def logged_scenes(
 ) -> dg.Output[pathlib.Path]:
     """Images of a table with a hand on it, with camera, start and goal; mask and mesh are for judging alone."""
     from deltasafe.storage import sha256_of_file
+    from deltasafe.trials.overview import tile_pictures
     from deltasafe.trials.selection import select_scenes
 
     source, _ = store.dataset(config.folder, "scenes")
     folder = store.folder("logged_scenes", context.run_id[:8])
     scenes = select_scenes(source, config.n_scenes, folder)
     version = sha256_of_file(folder / "scenes.json")[:16]
-    metadata = {"scenes": len(scenes), "scenes' folder": str(source), **folder_facts(folder, version)}
+    sheet = folder.with_name(f"{folder.name}-sheet.jpg")
+    tile_pictures([scene.image_path for scene in scenes[:20]], sheet, columns=5)
+    facts = {"scenes": len(scenes), "scenes' folder": str(source), **folder_facts(folder, version)}
+    metadata = {"scenes as logged": inline_picture(sheet), **facts}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
 
 
@@ -167,7 +171,8 @@ def executed_motions(
         progress=progress_of(context, every_s=2.0),
     )
     executed = sum(outcome.executed for outcome in outcomes)
-    metadata = {"executed": executed, "not executed": len(outcomes) - executed, **folder_facts(folder)}
+    reasons = {outcome.scene_id: outcome.reason for outcome in outcomes if not outcome.executed}
+    metadata = {"executed": executed, "not executed": len(reasons), "why not": reasons, **folder_facts(folder)}
     return dg.Output(folder, metadata=metadata)
 
 

@@ -9,7 +9,7 @@ from assets.interfaces import Registry, Store, Tracker
 from assets.operation import ALL_CORES, TWICE_MORE, fails_for_good
 from assets.progress import progress_of
 from assets.promotion import NOT_WORSE, not_worse, verdict_table
-from assets.reporting import folder_facts, inline_picture, inline_report, page_link
+from assets.reporting import folder_facts, inline_jpeg, inline_picture, inline_report, page_link
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -62,11 +62,13 @@ class ReportConfig(dg.Config):
 
 
 def _checked(config: HandsConfig, store: Store, packaged: str) -> dg.Output[pathlib.Path]:
+    from deltasafe.figures.labelled_images import labelled_sheet
     from deltasafe.perception.hands import HandSet
 
     folder, registry = store.dataset(config.folder, packaged)
     hands = HandSet.load(folder, registry)
-    metadata = {"images": len(hands), **folder_facts(folder, hands.digest)}
+    sheet = inline_jpeg(labelled_sheet(hands), "labelled images")
+    metadata = {"some of them": sheet, "images": len(hands), **folder_facts(folder, hands.digest)}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))
 
 
@@ -219,6 +221,7 @@ def frozen_ensemble(
     code_version="1",
     retry_policy=TWICE_MORE,
     check_specs=[NOT_WORSE],
+    dagster_type=dg.Any,
     pool="registry",
 )
 @fails_for_good

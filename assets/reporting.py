@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import dagster as dg
 
-__all__ = ["Metadata", "folder_facts", "inline_picture", "inline_report", "page_link"]
+__all__ = ["Metadata", "folder_facts", "inline_jpeg", "inline_picture", "inline_report", "page_link"]
 
 Metadata: TypeAlias = dict[str, Any]
 
@@ -21,6 +21,11 @@ _PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+)\)")
 def inline_picture(path: pathlib.Path, limit_bytes: int = PAGE_BYTES) -> dg.MarkdownMetadataValue:
     """A picture as Markdown, reduced until it fits; of a film its middle."""
     return dg.MetadataValue.md(_inlined(path, path.stem, limit_bytes))
+
+
+def inline_jpeg(data: bytes, title: str) -> dg.MarkdownMetadataValue:
+    """A JPEG that was never a file."""
+    return dg.MetadataValue.md(f"![{title}](data:image/jpeg;base64,{base64.b64encode(data).decode()})")
 
 
 def inline_report(path: pathlib.Path, limit_bytes: int = PAGE_BYTES) -> dg.MarkdownMetadataValue:

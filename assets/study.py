@@ -10,7 +10,7 @@ from assets.config import configurable
 from assets.interfaces import Store, Tracker
 from assets.operation import ALL_CORES
 from assets.progress import progress_of
-from assets.reporting import Metadata, inline_report
+from assets.reporting import Metadata, inline_report, page_link
 from deltasafe import presets
 
 if TYPE_CHECKING:
@@ -86,8 +86,8 @@ def study_cell(
         if cell.name in context.partition_keys:
             report = study.judge(cell, _steps_of(context), progress_of(context))
             made[cell.name] = folder = study.report_folder(cell)
-            tracker.report(folder.name, report.figures(), folder, {"test hands": study.test.digest})
-            metadata = {**report.figures(), "distinct images": study.augmented_set(cell).n_distinct}
+            page = tracker.report(folder.name, report.figures(), folder, {"test hands": study.test.digest})
+            metadata = {**report.figures(), "distinct images": study.augmented_set(cell).n_distinct, **page_link(page)}
             context.add_asset_metadata(metadata, partition_key=cell.name)
     return made
 

@@ -1,13 +1,19 @@
 """Jobs by what people ask for, and the retraining schedule."""
 
+import os
+
 import dagster as dg
 
 from assets.perception import members
 from assets.study import cells
+from pipelines.home import home
+from pipelines.watching import watched_hands
 
 __all__ = [
     "ALL_CELLS",
     "ALL_MEMBERS",
+    "UNATTENDED",
+    "UNATTENDED_VARIABLE",
     "everything",
     "perception",
     "planner_study",
@@ -16,6 +22,7 @@ __all__ = [
     "safety_study",
     "single_scene",
     "study",
+    "tracking_study",
 ]
 
 
@@ -24,6 +31,10 @@ def _whole_range(partitions: dg.StaticPartitionsDefinition) -> dict[str, str]:
     keys = partitions.get_partition_keys()
     return {"dagster/asset_partition_range_start": keys[0], "dagster/asset_partition_range_end": keys[-1]}
 
+
+UNATTENDED_VARIABLE = "DELTASAFE_UNATTENDED"
+UNATTENDED = {"dagster/max_retries": "2", "dagster/retry_strategy": "FROM_FAILURE"}
+"""Nobody sits beside these runs: one whose process was killed is taken up again."""
 
 ALL_MEMBERS = _whole_range(members)
 ALL_CELLS = _whole_range(cells)
@@ -74,11 +85,20 @@ safety_study = dg.define_asset_job(
 )
 
 
+tracking_study = dg.define_asset_job(
+    "tracking_study",
+    dg.AssetSelection.groups("tracking_study"),
+    description="The tracking bound gamma(v), identified from test motions; goes on where it was.",
+)
+
+
 @dg.schedule(
     job=perception,
     cron_schedule="0 3 * * 0",
-    default_status=dg.DefaultScheduleStatus.STOPPED,
-    description="Retrain all members every Sunday at 3:00 and freeze them if they pass the gate.",
+    default_status=dg.DefaultScheduleStatus("RUNNING" if os.environ.get(UNATTENDED_VARIABLE) == "1" else "STOPPED"),
+    description="Retrain all members every Sunday at 3:00, on the watched images where there are any.",
 )
 def retraining(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:
-    return dg.RunRequest(run_key=context.scheduled_execution_time.isoformat(), tags=ALL_MEMBERS)
+    tags, hands = {**ALL_MEMBERS, **UNATTENDED}, watched_hands(home())
+    config = {"ops": {"raw_hands": {"config": {"folder": str(hands)}}}} if hands.is_dir() else {}
+    return dg.RunRequest(run_key=context.scheduled_execution_time.isoformat(), run_config=config, tags=tags)

@@ -105,6 +105,8 @@ class MlflowRecords:
         """Figures of a calibration report, its files, and the images that it judged on, with the ensemble's run."""
         from mlflow.entities import Metric
 
+        if not pathlib.Path(folder).is_dir():
+            raise FileNotFoundError(f"{folder} is gone; make the report again")
         run = self._run(identity, "", tags)
         self.client.log_batch(run, metrics=[Metric(key, value, at_ms, 0) for key, value in figures.items()])
         self._log_data(run, data, "testing")
@@ -139,9 +141,18 @@ class MlflowRecords:
             self.client.set_registered_model_alias(MODEL_NAME, CHALLENGER, found.version)
         return self._page(run)
 
-    def record_promote(self, artifact: str, because: str, tags: Mapping[str, str], at_ms: int) -> str:
-        """The alias `champion` to the version with that content, and a line in the history of champions."""
-        found = self._require(artifact)
+    def record_promote(
+        self, artifact: str, because: str, tags: Mapping[str, str], at_ms: int, only_as_first: bool = False
+    ) -> str:
+        """The alias `champion` to the version with that content, and a line in the history of champions.
+
+        Args:
+            only_as_first: it was promoted where no champion was known; if there is one after all, it stays.
+        """
+        found, present = self._require(artifact), self.champion()
+        if only_as_first and present is not None and present.version != found.version:
+            reason = f"was never compared with version {present.version}, since the registry was away; freeze it again"
+            return self.record_refuse(artifact, reason, tags, at_ms)
         self.client.set_registered_model_alias(MODEL_NAME, CHAMPION, found.version)
         if self._has_alias(CHALLENGER, found.version):
             self.client.delete_registered_model_alias(MODEL_NAME, CHALLENGER)

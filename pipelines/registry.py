@@ -56,8 +56,9 @@ class EnsembleRegistry:
         """Put ``folder`` in use, or write down why not; returns the folder of the ensemble in use."""
         present = self.champion()
         if promoted or present is None:
+            unseen = present is None and self._waits()  # a registry that is away may have a champion already
             self._write_note(folder.name, reason)
-            self.tracker.call("promote", artifact=folder.name, because=reason)
+            self.tracker.call("promote", artifact=folder.name, because=reason, only_as_first=unseen)
             return folder
         self.tracker.call("refuse", artifact=folder.name, because=reason)
         return present

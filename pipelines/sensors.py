@@ -10,40 +10,38 @@ from assets.single_scene import scenes as scene_partitions
 from deltasafe.errors import DeltasafeError
 from pipelines import jobs
 from pipelines.lost_runs import fail_lost_runs
-from pipelines.watching import Watched, digest_of_folder, watched_folder
+from pipelines.watching import (
+    HANDS_VARIABLE,
+    SCENES_VARIABLE,
+    Watched,
+    digest_of_folder,
+    watched_hands,
+    watched_scenes,
+)
 
 __all__ = [
-    "HANDS_VARIABLE",
     "INTERVAL_VARIABLE",
-    "SCENES_VARIABLE",
-    "UNATTENDED_VARIABLE",
     "all_sensors",
     "look_at_images",
     "look_at_scenes",
 ]
 
-HANDS_VARIABLE = "DELTASAFE_WATCHED_HANDS"
-SCENES_VARIABLE = "DELTASAFE_WATCHED_SCENES"
 INTERVAL_VARIABLE = "DELTASAFE_SENSOR_INTERVAL_S"
-UNATTENDED_VARIABLE = "DELTASAFE_UNATTENDED"
-
-UNATTENDED = {"dagster/max_retries": "2", "dagster/retry_strategy": "FROM_FAILURE"}
-"""Nobody sits beside these runs: one whose process was killed is taken up again."""
 
 
 def all_sensors(home: pathlib.Path) -> Sequence[dg.SensorDefinition]:
     """The sensors for a home."""
     interval_s = int(os.environ.get(INTERVAL_VARIABLE) or 30)
     on = dg.DefaultSensorStatus.RUNNING
-    chosen = on if os.environ.get(UNATTENDED_VARIABLE) == "1" else dg.DefaultSensorStatus.STOPPED
+    chosen = on if os.environ.get(jobs.UNATTENDED_VARIABLE) == "1" else dg.DefaultSensorStatus.STOPPED
 
     @dg.sensor(job=jobs.perception, minimum_interval_seconds=interval_s, default_status=chosen, description=_LABELLED)
-    def labelled_images(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.SkipReason:
-        return look_at_images(context, watched_folder(home, HANDS_VARIABLE, "hands"))
+    def labelled_images(context: dg.SensorEvaluationContext) -> dg.SensorResult:
+        return look_at_images(context, watched_hands(home))
 
     @dg.sensor(job=jobs.single_scene, minimum_interval_seconds=interval_s, default_status=chosen, description=_SCENES)
-    def logged_scenes_folder(context: dg.SensorEvaluationContext) -> dg.SensorResult | dg.SkipReason:
-        return look_at_scenes(context, watched_folder(home, SCENES_VARIABLE, "scenes"))
+    def logged_scenes_folder(context: dg.SensorEvaluationContext) -> dg.SensorResult:
+        return look_at_scenes(context, watched_scenes(home))
 
     @dg.sensor(
         jobs=[jobs.perception],
@@ -61,35 +59,32 @@ def all_sensors(home: pathlib.Path) -> Sequence[dg.SensorDefinition]:
         minimum_interval_seconds=interval_s,
         default_status=chosen,
         description="Plans and executes the scenes anew when another ensemble is in use or other scenes were logged.",
-        run_tags=UNATTENDED,
+        run_tags=jobs.UNATTENDED,
     )
     return [labelled_images, logged_scenes_folder, follow_changes, lost_runs]
 
 
-def look_at_images(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> dg.SensorResult | dg.SkipReason:
+def look_at_images(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> dg.SensorResult:
     """A run of the job `perception` on ``folder`` once its content is new, at rest and well-formed."""
-    digest = digest_of_folder(folder)
-    if not digest:
-        return dg.SkipReason(f"no images in {folder}")
-    watched = Watched.from_cursor(context.cursor)
-    if not watched.ripe({"hands": digest}):
-        context.update_cursor(watched.cursor())
-        same = watched.done.get("hands") == digest
-        return dg.SkipReason("nothing new" if same else f"{folder} has changed; waiting until it is at rest")
-    watched.done["hands"] = digest
-    context.update_cursor(watched.cursor())
     from deltasafe.perception.hands import HandSet
 
+    watched, digest = Watched.from_cursor(context.cursor), digest_of_folder(folder)
+    if not digest:
+        return _nothing(watched, f"no images in {folder}")
+    if not watched.ripe({"hands": digest}):
+        same = watched.done.get("hands") == digest
+        return _nothing(watched, "nothing new" if same else f"{folder} has changed; waiting until it is at rest")
+    watched.done["hands"] = digest
     try:
         HandSet.load(folder)
     except DeltasafeError as error:
-        return dg.SkipReason(f"not trained on, until it is changed again: {error}")
+        return _nothing(watched, f"not trained on, until it is changed again: {error}")
     config = {"ops": {"raw_hands": {"config": {"folder": str(folder)}}}}
-    request = dg.RunRequest(run_key=digest, run_config=config, tags={**jobs.ALL_MEMBERS, **UNATTENDED})
+    request = dg.RunRequest(run_key=digest, run_config=config, tags={**jobs.ALL_MEMBERS, **jobs.UNATTENDED})
     return dg.SensorResult([request], cursor=watched.cursor())
 
 
-def look_at_scenes(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> dg.SensorResult | dg.SkipReason:
+def look_at_scenes(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> dg.SensorResult:
     """A partition and a run for every scene folder that is new or changed, at rest and well-formed."""
     from deltasafe.scene import LoggedScene
 
@@ -103,12 +98,15 @@ def look_at_scenes(context: dg.SensorEvaluationContext, folder: pathlib.Path) ->
             refused.append(str(error))
             continue
         config = {"ops": {"logged_scene": {"config": {"folder": str(folder)}}}}
-        requests.append(dg.RunRequest(now[name], config, partition_key=name, tags=UNATTENDED))
-    context.update_cursor(watched.cursor())
+        requests.append(dg.RunRequest(f"{name} {now[name]}", config, partition_key=name, tags=jobs.UNATTENDED))
     if not requests:
-        return dg.SkipReason("; ".join(refused) or f"no new scene at rest in {folder}")
+        return _nothing(watched, "; ".join(refused) or f"no new scene at rest in {folder}")
     added = scene_partitions.build_add_request([str(request.partition_key) for request in requests])
     return dg.SensorResult(requests, dynamic_partitions_requests=[added], cursor=watched.cursor())
+
+
+def _nothing(watched: Watched, why: str) -> dg.SensorResult:
+    return dg.SensorResult(skip_reason=why, cursor=watched.cursor())
 
 
 _LABELLED = (

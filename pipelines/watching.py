@@ -7,12 +7,28 @@ import pathlib
 
 from deltasafe.storage import digest_of, sha256_of_file
 
-__all__ = ["Watched", "digest_of_folder", "watched_folder"]
+__all__ = [
+    "HANDS_VARIABLE",
+    "SCENES_VARIABLE",
+    "Watched",
+    "digest_of_folder",
+    "watched_hands",
+    "watched_scenes",
+]
 
 
-def watched_folder(home: pathlib.Path, variable: str, usual: str) -> pathlib.Path:
-    """The folder that the environment variable names; by default ``incoming/USUAL`` below the home."""
-    return pathlib.Path(os.environ.get(variable) or home / "incoming" / usual).expanduser()
+HANDS_VARIABLE = "DELTASAFE_WATCHED_HANDS"
+SCENES_VARIABLE = "DELTASAFE_WATCHED_SCENES"
+
+
+def watched_hands(home: pathlib.Path) -> pathlib.Path:
+    """Where labelled images arrive: `$DELTASAFE_WATCHED_HANDS`, or ``incoming/hands`` below the home."""
+    return pathlib.Path(os.environ.get(HANDS_VARIABLE) or home / "incoming" / "hands").expanduser()
+
+
+def watched_scenes(home: pathlib.Path) -> pathlib.Path:
+    """Where logged scenes arrive: `$DELTASAFE_WATCHED_SCENES`, or ``incoming/scenes`` below the home."""
+    return pathlib.Path(os.environ.get(SCENES_VARIABLE) or home / "incoming" / "scenes").expanduser()
 
 
 def digest_of_folder(folder: pathlib.Path) -> str:

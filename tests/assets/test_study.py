@@ -21,8 +21,9 @@ class Noted:
     def __init__(self):
         self.figures = {}
 
-    def report(self, identity, figures, folder):
-        self.figures[identity] = figures
+    def report(self, identity, figures, folder, data):
+        self.figures[identity] = (figures, data)
+        return "http://mlflow/run"
 
 
 @pytest.fixture
@@ -91,6 +92,7 @@ def test_a_cell_is_made_and_found_and_the_tables_say_what_is_missing(few_hands, 
         (event,) = made.asset_materializations_for_node("study_cell")
         assert event.partition == "cutout-50"
         assert event.metadata["distinct images"].value == 50
+        assert event.metadata["MLflow run"].url == "http://mlflow/run"
         tables = [augmentation_tables, ensemble_size, augmentation_ablation]
         shown = dg.materialize(
             [*sources, study_cell, *tables], selection=tables, resources=resources, instance=instance

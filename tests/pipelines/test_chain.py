@@ -12,7 +12,7 @@ import pytest
 
 from pipelines.home import tracking_uri
 from pipelines.io import FolderPointers
-from pipelines.tracking import ALIAS, MODEL_NAME
+from pipelines.mlflow_records import CHAMPION, EXPERIMENT, MODEL_NAME
 
 ROOT = pathlib.Path(__file__).parents[2]
 
@@ -79,7 +79,43 @@ def test_members_differ_and_are_recorded(home, folder):
     first, second = (Member.load(folder("ensemble_member", f"member_{m:02d}")) for m in range(2))
     assert first.record["weights_sha256"] != second.record["weights_sha256"]
     client = MlflowClient(tracking_uri(home))
-    assert client.get_model_version_by_alias(MODEL_NAME, ALIAS).tags["artifact"] == folder("frozen_ensemble").name
+    assert client.get_model_version_by_alias(MODEL_NAME, CHAMPION).tags["artifact"] == folder("frozen_ensemble").name
+
+
+def test_dagster_and_mlflow_point_at_each_other(home, demo):
+    from mlflow import MlflowClient
+
+    client = MlflowClient(tracking_uri(home))
+    found = client.search_runs([client.get_experiment_by_name(EXPERIMENT).experiment_id])
+    assert len(found) == 3, "one for the ensemble, one for each member"
+    with dg.DagsterInstance.from_config(str(home / "dagster")) as instance:
+        (run,) = instance.get_runs(dg.RunsFilter(job_name="everything"))
+        pages = {
+            event.partition: event.metadata["MLflow run"].url
+            for event in instance.fetch_materializations(dg.AssetKey("ensemble_member"), limit=10).records
+            for event in [event.asset_materialization]
+        }
+    for record in found:
+        assert record.data.tags["dagster_run_id"] == run.run_id
+        assert record.data.tags["dagster_run"].endswith(f"/runs/{run.run_id}")
+        assert record.inputs.dataset_inputs, "what it saw, by digest"
+        if "mlflow.parentRunId" in record.data.tags:
+            assert pages[record.info.run_name].endswith(record.info.run_id)
+            assert {"loss", "loss_epoch", "images_per_s"} <= set(record.data.metrics)
+            assert [file.path for file in client.list_artifacts(record.info.run_id, "figures")] == ["figures/loss.png"]
+    assert not list((home / "mlflow" / "pending").glob("*.json")), "nothing waits"
+
+
+def test_no_page_is_heavy(home, demo):
+    with dg.DagsterInstance.from_config(str(home / "dagster")) as instance:
+        for key in instance.get_asset_keys():
+            event = instance.get_latest_materialization_event(key)
+            shown = [str(value.value) for value in event.asset_materialization.metadata.values()]
+            assert sum(map(len, shown)) < 110_000, key.to_user_string()
+
+
+def test_motions_are_those_of_the_ensemble_in_use(folder):
+    assert folder("champion") == folder("frozen_ensemble"), "the first is promoted"
 
 
 def test_the_report_judges_all_pixels_of_all_test_images(folder):
@@ -110,7 +146,7 @@ def test_mlflow_serves_the_same_probabilities(home, folder):
     import deltasafe
 
     mlflow.set_tracking_uri(tracking_uri(home))
-    model = mlflow.pyfunc.load_model(f"models:/{MODEL_NAME}@{ALIAS}")
+    model = mlflow.pyfunc.load_model(f"models:/{MODEL_NAME}@{CHAMPION}")
     images = np.random.default_rng(0).integers(0, 256, (2, 40, 50, 3), dtype=np.uint8)
     ensemble = deltasafe.load_ensemble(folder("frozen_ensemble"))
     expected = np.stack([ensemble.p_occupied(image) for image in images])

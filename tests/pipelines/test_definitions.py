@@ -28,6 +28,7 @@ STUDY = {"study_cell", "augmentation_tables", "ensemble_size", "augmentation_abl
 SINGLE_SCENE = {"logged_scene", "scene_motion", "scene_execution"}
 PLANNER_STUDY = {"planner_costs", "planner_times", "planner_report"}
 SAFETY_STUDY = {"safety_trials", "safety_study_report"}
+TRACKING_STUDY = {"tracking_bound"}
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,8 @@ def specs(defs):
 
 def test_data_flows_one_way_through_the_chain(defs):
     found = specs(defs)
-    assert set(found) == {*CHAIN, *STUDY, *PLANNER_STUDY, *SAFETY_STUDY, *SINGLE_SCENE, "test_hands", "logged_scenes"}
+    studies = {*STUDY, *PLANNER_STUDY, *SAFETY_STUDY, *TRACKING_STUDY}
+    assert set(found) == {*CHAIN, *studies, *SINGLE_SCENE, "test_hands", "logged_scenes"}
     for before, after in itertools.pairwise(CHAIN):
         upstream = {dep.asset_key.to_user_string() for dep in found[after].deps}
         assert before in upstream, f"{after} does not follow {before}"
@@ -72,9 +74,8 @@ def test_everything_is_described_owned_and_versioned(defs):
         assert spec.owners, name
         assert spec.kinds, name
         assert spec.code_version, name
-        assert spec.group_name in ("perception", "motion", "single_scene", "study", "planner_study", "safety_study"), (
-            name
-        )
+        studies = ("study", "planner_study", "safety_study", "tracking_study")
+        assert spec.group_name in ("perception", "motion", "single_scene", *studies), name
 
 
 def test_checks_before_the_freeze_block_it(defs):
@@ -207,7 +208,7 @@ def test_a_member_that_did_not_learn_is_found(tmp_path):
     [
         ("ensemble_member", {"training": {"epochs": 0}}, "training: epochs must be at least 1, got 0"),
         ("champion", {"level": 2.0}, "level must lie in"),
-        ("may_be_frozen", {"miou": 3.0}, "miou must lie in"),
+        ("calibration_report_may_be_frozen", {"miou": 3.0}, "miou must lie in"),
     ],
 )
 def test_a_wrong_setting_is_refused_before_anything_runs(tmp_path, step, config, told):
@@ -220,7 +221,7 @@ def test_a_wrong_setting_is_refused_before_anything_runs(tmp_path, step, config,
 
 
 def test_a_run_with_a_wrong_setting_computes_nothing(tmp_path):
-    from assets.perception import champion, frozen_ensemble
+    from assets.perception import champion
     from pipelines.resources import StoreResource
 
     reached = []
@@ -231,13 +232,9 @@ def test_a_run_with_a_wrong_setting_computes_nothing(tmp_path):
 
     plain = {"tracker": object(), "registry": object()}
     resources = {"store": StoreResource(home=str(tmp_path), datasets=str(tmp_path)), **plain}
-    job = dg.Definitions([first, champion, frozen_ensemble], resources=resources)
-    whole = job.resolve_implicit_global_asset_job_def()
-    result = whole.execute_in_process(
-        run_config={"ops": {"champion": {"config": {"level": 2.0}}}},
-        asset_selection=[dg.AssetKey("first"), dg.AssetKey("champion")],
-        raise_on_error=False,
-    )
+    given = [dg.AssetSpec("frozen_ensemble"), dg.AssetSpec("test_hands")]
+    job = dg.Definitions([first, champion, *given], resources=resources).resolve_implicit_global_asset_job_def()
+    result = job.execute_in_process(run_config={"ops": {"champion": {"config": {"level": 2.0}}}}, raise_on_error=False)
     assert not result.success
     assert reached == []
 

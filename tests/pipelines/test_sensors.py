@@ -28,9 +28,8 @@ class Looks:
         self.look, self.folder, self.cursor = look, folder, None
 
     def __call__(self):
-        context = dg.build_sensor_context(cursor=self.cursor)
-        result = self.look(context, self.folder)
-        self.cursor = context.cursor if isinstance(result, dg.SkipReason) else result.cursor
+        result = self.look(dg.build_sensor_context(cursor=self.cursor), self.folder)
+        self.cursor = result.cursor
         return result
 
 
@@ -41,32 +40,32 @@ def hands(tmp_path):
 
 def test_images_are_trained_on_once_they_are_at_rest(hands):
     look = Looks(look_at_images, hands)
-    assert "waiting until it is at rest" in look().skip_message
+    assert "waiting until it is at rest" in look().skip_reason.skip_message
     (request,) = look().run_requests
     assert request.run_key == digest_of_folder(hands)
     assert request.run_config == {"ops": {"raw_hands": {"config": {"folder": str(hands)}}}}
     assert ALL_MEMBERS.items() <= request.tags.items()
-    assert look().skip_message == "nothing new"
+    assert look().skip_reason.skip_message == "nothing new"
 
 
 def test_a_folder_that_is_being_written_to_is_left_alone(hands):
     look = Looks(look_at_images, hands)
-    assert look().skip_message
+    assert look().skip_reason.skip_message
     assert look().run_requests
     for part in range(3):  # a copy that takes its time
         (hands / "images" / "9.png").write_bytes(b"x" * (part + 1))
-        assert "waiting" in look().skip_message
+        assert "waiting" in look().skip_reason.skip_message
 
 
 def test_a_changed_mask_is_a_change_and_a_touched_or_hidden_file_is_none(hands):
     look = Looks(look_at_images, hands)
-    assert look().skip_message
+    assert look().skip_reason.skip_message
     assert look().run_requests
     (hands / "masks" / "0.png").touch()
     (hands / "masks" / ".1.png.part").write_bytes(b"half")
-    assert look().skip_message == "nothing new"
+    assert look().skip_reason.skip_message == "nothing new"
     shutil.copyfile(hands / "masks" / "1.png", hands / "masks" / "0.png")
-    assert "waiting" in look().skip_message
+    assert "waiting" in look().skip_reason.skip_message
     assert look().run_requests
 
 
@@ -74,19 +73,19 @@ def test_defective_images_are_named_and_not_trained_on(hands):
     (hands / "images" / "9.png").write_bytes(b"no picture")
     look = Looks(look_at_images, hands)
     look()
-    assert "9.png" in look().skip_message
-    assert look().skip_message == "nothing new", "and not complained about for ever"
+    assert "9.png" in look().skip_reason.skip_message
+    assert look().skip_reason.skip_message == "nothing new", "and not complained about for ever"
 
 
 def test_nothing_to_watch_is_no_error(tmp_path):
-    assert "no images" in Looks(look_at_images, tmp_path / "none")().skip_message
-    assert "no new scene" in Looks(look_at_scenes, tmp_path / "none")().skip_message
+    assert "no images" in Looks(look_at_images, tmp_path / "none")().skip_reason.skip_message
+    assert "no new scene" in Looks(look_at_scenes, tmp_path / "none")().skip_reason.skip_message
 
 
 def test_a_new_scene_becomes_a_partition_when_it_is_complete(tmp_path):
     look = Looks(look_at_scenes, tmp_path)
     shutil.copytree(SCENES / "scene_000", tmp_path / "scene_000")
-    assert look().skip_message
+    assert look().skip_reason.skip_message
     (tmp_path / "scene_001").mkdir()  # being logged: its scene.json is written last
     shutil.copyfile(next((SCENES / "scene_001").glob("*.jpg")), tmp_path / "scene_001" / "image.jpg")
     result = look()
@@ -95,7 +94,7 @@ def test_a_new_scene_becomes_a_partition_when_it_is_complete(tmp_path):
     assert request.run_config["ops"]["logged_scene"]["config"]["folder"] == str(tmp_path)
     (added,) = result.dynamic_partitions_requests
     assert (added.partitions_def_name, list(added.partition_keys)) == (scene_partitions.name, ["scene_000"])
-    assert look().skip_message
+    assert look().skip_reason.skip_message
 
 
 def test_a_scene_that_cannot_be_read_is_named(tmp_path):
@@ -103,7 +102,7 @@ def test_a_scene_that_cannot_be_read_is_named(tmp_path):
     (tmp_path / "scene_000" / "scene.json").write_text("{}")
     look = Looks(look_at_scenes, tmp_path)
     look()
-    assert "scene_000" in look().skip_message
+    assert "scene_000" in look().skip_reason.skip_message
 
 
 def test_sensors_that_start_trainings_are_off_until_they_are_switched_on(tmp_path):
