@@ -5,11 +5,12 @@ import pathlib
 import dagster as dg
 
 from assets.config import configurable
-from assets.interfaces import Store
+from assets.interfaces import Registry, Store
 from assets.operation import ALL_CORES, fails_for_good
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture
 from deltasafe import presets
+from deltasafe.errors import SettingsError
 
 PRESET = presets.active()
 GROUP = "safety_study"
@@ -41,15 +42,19 @@ class TrialsConfig(dg.Config):
 )
 @fails_for_good
 def safety_trials(
-    context: dg.AssetExecutionContext, config: TrialsConfig, store: dg.ResourceParam[Store]
+    context: dg.AssetExecutionContext,
+    config: TrialsConfig,
+    store: dg.ResourceParam[Store],
+    registry: dg.ResourceParam[Registry],
 ) -> dg.Output[pathlib.Path]:
     """Motions planned and executed: ours, single members, no schedule, the compared methods, at every delta."""
     from deltasafe.safety_study import StudyInputs, run_study
 
     folders = config.scenes or [str(store.dataset("", "scenes")[0])]
-    inputs = StudyInputs.gather(
-        folders, config.ensemble or context.load_asset_value(dg.AssetKey("champion")), config.n_scenes
-    )
+    ensemble = config.ensemble or registry.champion()
+    if not ensemble:
+        raise SettingsError("there is no ensemble in use yet: make one with `make demo`, or name a frozen one")
+    inputs = StudyInputs.gather(folders, ensemble, config.n_scenes)
     batches = store.folder("safety_trials", "batches")
     found = run_study(config.study.settings(), inputs, batches, config.workers, progress_of(context))
     folder = store.folder("safety_trials", context.run_id[:8])

@@ -184,8 +184,6 @@ def run_study(
     effort, executed, count = Effort(0.0, 0.0), 0, 0
     while executed < settings.n_executions:
         count += _more(settings, executed, count)
-        if executed == 0 and count > MOST_BARREN:
-            raise SettingsError(f"not one motion was executed in {MOST_BARREN} situations; look at the outcomes")
         jobs = [(f"situation-{number:05d}", (each, inputs.scenes, inputs.eyes, number)) for number in range(count)]
         batches, effort = run_batches(meet, jobs, folder, workers, progress, made_by=MADE_BY)
         executed = sum(int((batch["outcome"] == OUTCOMES.index("executed")).sum()) for batch in batches)
@@ -204,6 +202,8 @@ def _more(settings: SafetyStudySettings, executed: int, situations: int) -> int:
     if situations == 0:
         return max(1, math.floor(settings.n_executions / _trials_per_situation(settings)))
     if executed == 0:
+        if situations >= MOST_BARREN:
+            raise SettingsError(f"not one motion was executed in {situations} situations; look at their outcomes")
         return MOST_BARREN
     return math.ceil(1.02 * (settings.n_executions - executed) * situations / executed)
 
