@@ -16,7 +16,7 @@ STAMP := $(VENV)/.installed
 REQUIREMENTS := -e .[vision,sim,mcap] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study benchmarks
+.PHONY: registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study tracking-study benchmarks
 
 demo: $(STAMP)
 	$(BIN)/python -m pipelines.demo
@@ -38,6 +38,10 @@ planner-study: $(STAMP)
 safety-study: $(STAMP)
 	$(BIN)/python -m pipelines.safety_study --record docs/results/safety.json \
 	  $(if $(SCENES),--scenes $(SCENES)) $(if $(EXECUTIONS),--executions $(EXECUTIONS))
+
+# the tracking bound gamma(v) of the simulated arm, a quarter of an hour
+tracking-study: $(STAMP)
+	$(BIN)/python -m pipelines.tracking_study --record docs/results/safety.json
 
 # each in turns with what one would write first; half an hour, on a machine with nothing else to do
 benchmarks: $(STAMP)

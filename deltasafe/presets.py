@@ -13,6 +13,7 @@ from deltasafe.planner_study.settings import ComparisonSettings, TimingSettings
 from deltasafe.planning import MotionSettings
 from deltasafe.safety_study.settings import SafetyStudySettings
 from deltasafe.scene import FieldSettings
+from deltasafe.tracking_study.settings import TrackingStudySettings
 
 __all__ = ["PRESETS", "VARIABLE", "Preset", "active"]
 
@@ -44,6 +45,7 @@ class Preset:
     comparison: ComparisonSettings = dataclasses.field(default_factory=ComparisonSettings)
     timing: TimingSettings = dataclasses.field(default_factory=TimingSettings)
     safety_study: SafetyStudySettings = dataclasses.field(default_factory=SafetyStudySettings)
+    tracking_study: TrackingStudySettings = dataclasses.field(default_factory=TrackingStudySettings)
     n_scenes: int = 0
     n_films: int = 3
 
@@ -69,6 +71,9 @@ PRESETS = {
         comparison=ComparisonSettings(n_levels=2, n_runs=3, n_runs_beside=2, n_iterations=500, voxel_m=0.01),
         timing=TimingSettings(counts=(1, 5, 20), n_runs=2, n_iterations=500, voxel_m=0.01),
         safety_study=SafetyStudySettings(deltas=(0.05, 0.45), n_executions=2, n_bootstrap=100, n_films=1),
+        tracking_study=TrackingStudySettings(
+            n_slope_runs=4, n_bound_runs=7, n_held_out_runs=5, runs_per_batch=4, content=0.7, confidence=0.9
+        ),
         n_scenes=2,
         n_films=1,
     ),

@@ -13,6 +13,7 @@ import assets.planner_study
 import assets.safety_study
 import assets.single_scene
 import assets.study
+import assets.tracking_study
 from pipelines import jobs
 from pipelines.console import progress_console
 from pipelines.home import DATASETS, home
@@ -55,9 +56,10 @@ def build_defs(
                 assets.study,
                 assets.planner_study,
                 assets.safety_study,
+                assets.tracking_study,
             ]
         ),
-        asset_checks=dg.load_asset_checks_from_modules([assets.checks, assets.single_scene]),
+        asset_checks=dg.load_asset_checks_from_modules([assets.checks, assets.single_scene, assets.tracking_study]),
         jobs=[
             jobs.everything,
             jobs.perception,
@@ -66,6 +68,7 @@ def build_defs(
             jobs.study,
             jobs.planner_study,
             jobs.safety_study,
+            jobs.tracking_study,
         ],
         schedules=[jobs.retraining],
         sensors=all_sensors(root),

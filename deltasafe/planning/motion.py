@@ -26,11 +26,24 @@ FORMAT = 1
 
 @dataclasses.dataclass(frozen=True)
 class MotionSettings(VelocitySettings, PlannerSettings):
-    """All settings of a motion, flat: those of the segment test, of the search and of the schedule."""
+    """All settings of a motion, flat: of the segment test, of the search, of the schedule, and the tracking bound.
+
+    Attributes:
+        gamma0_m, gamma1_s: the tracking bound gamma(v) = gamma0 + gamma1 v; the paper's line by default.
+    """
+
+    gamma0_m: float = TrackingBound.gamma0_m
+    gamma1_s: float = TrackingBound.gamma1_s
 
     def __post_init__(self) -> None:
         PlannerSettings.__post_init__(self)
         VelocitySettings.__post_init__(self)
+        _ = self.tracking
+
+    @property
+    def tracking(self) -> TrackingBound:
+        """gamma of schedule, monitor and verdict."""
+        return TrackingBound(self.gamma0_m, self.gamma1_s)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,12 +142,15 @@ def plan_motion(
 ) -> PlannedMotion:
     """Path, verification and schedule in one. A scene without a safe path is an outcome with its reason.
 
+    Args:
+        tracking: gamma; that of the settings if None.
+
     Raises:
         SettingsError: the table is not the lower face of the grid, or a setting is outside its domain.
     """
     if abs(table_z_m - grid.origin_m[2]) > 1e-9:
         raise SettingsError(f"the grid must stand on the table: {grid.origin_m[2]} m against {table_z_m} m")
-    body, tracking = body or ToolBody(), tracking or TrackingBound()
+    body, tracking = body or ToolBody(), tracking or settings.tracking
     field = SafetyField.build(grid, settings.delta)
     result = plan(start, goal, field, settings, seed, body, tracking)
     trajectory, profile, reason = None, None, ""

@@ -1,0 +1,57 @@
+"""gamma(v), identified on the simulated arm."""
+
+import pathlib
+
+import dagster as dg
+
+from assets.config import configurable
+from assets.interfaces import Store
+from assets.operation import ALL_CORES, fails_for_good
+from assets.progress import progress_of
+from assets.reporting import Metadata, folder_facts, inline_picture
+from deltasafe import presets
+
+PRESET = presets.active()
+GROUP = "tracking_study"
+OWNERS = ["team:motion"]
+
+StudyConfig = configurable(PRESET.tracking_study)
+
+
+class TrackingConfig(dg.Config):
+    """Run k has the seed `first_seed` + k; the number of `workers` changes nothing."""
+
+    study: StudyConfig = StudyConfig()
+    workers: int = 2
+
+
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"bullet", "numba"}, code_version="1", pool=ALL_CORES)
+@fails_for_good
+def tracking_bound(
+    context: dg.AssetExecutionContext, config: TrackingConfig, store: dg.ResourceParam[Store]
+) -> dg.Output[pathlib.Path]:
+    """The tracking error of test motions over the workspace, a tolerance bound from it, and its held-out coverage."""
+    from deltasafe.tracking_study import run_study, write_tracking_report
+
+    batches = store.folder("tracking_bound", "batches")
+    study = run_study(config.study.settings(), batches, config.workers, progress_of(context))
+    folder = store.folder("tracking_bound", context.run_id[:8])
+    study.save(folder)
+    report = folder.with_name(f"{folder.name}-report")
+    figures = write_tracking_report(study, report)
+    metadata: Metadata = {
+        "report": dg.MetadataValue.md((report / "report.md").read_text(encoding="utf-8")),
+        "error over speed": inline_picture(report / "tracking.png"),
+        **figures,
+        **folder_facts(folder),
+    }
+    return dg.Output(folder, metadata=metadata)
+
+
+@dg.asset_check(asset="tracking_bound", description="The bound holds what it promises on runs that it has not seen.")
+def bound_covers_held_out_runs(tracking_bound: pathlib.Path) -> dg.AssetCheckResult:
+    from deltasafe.tracking_study import TrackingStudy
+
+    study = TrackingStudy.load(tracking_bound)
+    coverage = {one.name: one.of_runs for one in study.coverage()}
+    return dg.AssetCheckResult(passed=coverage["all"] >= study.settings.content, metadata=coverage)
