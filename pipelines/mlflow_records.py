@@ -161,8 +161,8 @@ class MlflowRecords:
             if tag in found.tags:
                 self.client.delete_model_version_tag(MODEL_NAME, found.version, tag)
         history = self.history()
-        if not history or history[-1] != found.version:
-            self._write_history([*history, found.version])
+        if history[-1:] != [str(found.version)]:
+            self._write_history([*history, str(found.version)])
         return self._page(found.run_id) if found.run_id else self.uri
 
     def record_refuse(self, artifact: str, because: str, tags: Mapping[str, str], at_ms: int) -> str:
@@ -175,7 +175,7 @@ class MlflowRecords:
         """The version with that content was in use and is no longer; it leaves the history of champions."""
         found = self._require(artifact)
         self.client.set_model_version_tag(MODEL_NAME, found.version, "taken_out_of_use", because)
-        self._write_history([number for number in self.history() if number != found.version])
+        self._write_history([number for number in self.history() if number != str(found.version)])
         return self.uri
 
     def versions(self) -> list[Any]:
@@ -192,7 +192,7 @@ class MlflowRecords:
         return next((found for found in self.versions() if CHAMPION in found.aliases), None)
 
     def history(self) -> list[str]:
-        """Versions in the order in which they became champion; the last one is in use."""
+        """Versions in the order in which they became champion; the last one is in use. MLflow's own are str or int."""
         if not self.versions():
             return []
         return list(json.loads(self.client.get_registered_model(MODEL_NAME).tags.get("champions", "[]")))
@@ -200,7 +200,7 @@ class MlflowRecords:
     def _write_history(self, history: Sequence[str]) -> None:
         self.client.set_registered_model_tag(MODEL_NAME, "champions", json.dumps(list(history)[-100:]))
 
-    def _has_alias(self, alias: str, number: str) -> bool:
+    def _has_alias(self, alias: str, number: Any) -> bool:
         return alias in self.client.get_model_version(MODEL_NAME, number).aliases
 
     def _require(self, artifact: str) -> Any:

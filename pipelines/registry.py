@@ -74,7 +74,7 @@ class EnsembleRegistry:
         Raises:
             DataError: there is no such version, or it cannot be fetched.
         """
-        version = next((found for found in self.versions() if found.version == number), None)
+        version = next((found for found in self.versions() if str(found.version) == number), None)
         if version is None:
             raise DataError(tracking_uri(self.tracker.home), f"has no version {number}; `make registry` lists them")
         folder = _folder_of(version, self.tracker.home)
@@ -90,7 +90,7 @@ class EnsembleRegistry:
         """
         with self.tracker.records() as records:
             history, present = records.history(), records.champion()
-        earlier = [number for number in history if present is None or number != present.version]
+        earlier = [number for number in history if present is None or number != str(present.version)]
         if not earlier or present is None:
             raise DataError(tracking_uri(self.tracker.home), "knows no ensemble that was in use before this one")
         self.tracker.call("take_out", artifact=present.tags["artifact"], because=because)

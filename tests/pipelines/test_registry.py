@@ -103,7 +103,7 @@ def test_a_worse_ensemble_is_refused_another_promoted_and_taken_back_by_one_comm
     assert (check.passed, used) == (False, frozen["good"]), "figures do not overrule a person"
     assert "saw gloves" in check.description
 
-    number = versions(home)[frozen["better"].name].version
+    number = str(versions(home)[frozen["better"].name].version)
     assert run("promote", number, "--because", "gloves were labelled wrongly") == 0
     assert aliases(home)[CHAMPION] == frozen["better"].name
     assert "taken_out_of_use" not in versions(home)[frozen["better"].name].tags
