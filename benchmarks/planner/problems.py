@@ -31,8 +31,8 @@ from deltasafe.planning import (
     refine_path,
     segment_test,
 )
-from deltasafe.planning.clearance import UNIT_M
 from deltasafe.planning.scenarios import POOL_SIZE
+from deltasafe.planning.surroundings import UNIT_M
 from deltasafe.scene import grid_from_shapes
 
 __all__ = ["DELTA_P_M", "MARGIN_M", "STEERING_M", "Problem", "problems", "write_problem"]

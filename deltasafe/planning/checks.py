@@ -11,26 +11,35 @@ from deltasafe.compiling import compiled, kernel
 from deltasafe.errors import SettingsError
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.clearance import (
-    BodyNumbers,
-    Surroundings,
     certified_clearance_m,
     clearance_of_pose,
     is_certified,
     is_surely_unsafe,
-    surroundings_of,
+    level_clearance,
+    quick_clearance,
 )
 from deltasafe.planning.constraint import answers_segments, ask_segment
 from deltasafe.planning.counters import key_of_segment, mixed
 from deltasafe.planning.field import SafetyField
 from deltasafe.planning.scenarios import SamplePool, sample_pool, samples_are_free
+from deltasafe.planning.surroundings import BodyNumbers, Surroundings, surroundings_of
 
 __all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_segment_safe", "segment_test"]
 
 METHODS = ("sampled", "exact", "continuous")
 MOST_SAMPLES = 16384
 GLANCE_M = 0.01
-LOOK_M, LOOK_CLOSELY_M = 0.01, 0.004
-"""Half of the motion of a piece from which on the few balls, and the cover, are asked."""
+LOOK_CLOSELY_M = 0.002
+"""Motion from a pose to what is shown so far, from which on the cover is asked."""
+
+STEP_M = 0.001
+"""Least first step; poses do not depend on the resolution, so that a finer one accepts all that a coarser one does."""
+
+SHORTER = 0.98
+"""A step is so much shorter than what it would be if nothing came nearer: no answer hangs on the last bit."""
+
+MANY_SAMPLES = 200
+"""From so many samples on, the exact test looks at a pose first: what it shows to be free holds no unsafe sample."""
 
 Array = NDArray[np.float64]
 
@@ -48,6 +57,7 @@ class CheckSettings:
             half of it is part of their margin (decision 18).
         resolution_m: ``continuous`` refuses when it cannot decide pieces with less motion than twice this.
         use_certificate: settle poses far from obstacles by a coarse grid first; changes nothing but the time.
+            ``continuous`` always does so.
     """
 
     method: str = "continuous"
@@ -104,8 +114,9 @@ def segment_test(
     settings = settings or CheckSettings()
     if not (math.isfinite(margin_m) and 0 <= margin_m <= 0.02):
         raise SettingsError(f"margin_m must be between 0 and 0.02 m, got {margin_m}")
-    around, numbers = surroundings_of(field, body)
     sampled = settings.method == "sampled"
+    between_m = 0.0 if settings.method == "continuous" else settings.delta_p_m / 2
+    around, numbers = surroundings_of(field, body, margin_m + between_m)
     return SegmentTest(
         around,
         numbers,
@@ -184,9 +195,11 @@ def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyp
         x, y, z, yaw = _at(start, end, step / max(steps, 1))
         if numbers.use_certificate and is_certified(around, x, y, z, need_m):
             continue
+        looked = numbers.method == 1 or pool.n_samples >= MANY_SAMPLES
+        if looked and level_clearance(around, body, x, y, z, yaw, need_m, True) >= need_m:
+            continue
         if numbers.method == 1:
-            clearance_m = clearance_of_pose(around, body, x, y, z, yaw, need_m, need_m, True)
-            if clearance_m < need_m and not is_certified(around, x, y, z, need_m):
+            if not is_certified(around, x, y, z, need_m):
                 return False
         else:
             if not keyed:
@@ -198,7 +211,7 @@ def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyp
 
 @kernel
 def _continuous(around, body, numbers, start, end):  # type: ignore[no-untyped-def]
-    """Bisection: a piece is safe if its middle pose is clear by the margin and half of the piece's motion.
+    """From pose to pose, each shown to be clear by the margin and by the motion between it and what is shown so far.
 
     Most refusals are plain: they are looked for first, at few poses, before anything is shown to be safe.
     """
@@ -206,34 +219,36 @@ def _continuous(around, body, numbers, start, end):  # type: ignore[no-untyped-d
     poses = 1 + int(motion_m / GLANCE_M)
     for n in range(poses):
         x, y, z, yaw = _at(start, end, (n + 0.5) / poses)
-        if numbers.use_certificate and is_certified(around, x, y, z, numbers.margin_m):
+        if is_certified(around, x, y, z, numbers.margin_m):
             continue
         if is_surely_unsafe(around, body, x, y, z, yaw):
             return False
-    level, place = 0, 0
+    rise_m = abs(end[2] - start[2])
+    level_reach_m = around.slab_m * motion_m / rise_m if rise_m > 0 else np.inf
+    shown_m, reach_m = 0.0, 0.5 * motion_m
     while True:
-        pieces = float(1 << level)
-        half_m = 0.5 * motion_m / pieces
-        need_m = numbers.margin_m + half_m
-        x, y, z, yaw = _at(start, end, (place + 0.5) / pieces)
-        if not (numbers.use_certificate and is_certified(around, x, y, z, need_m)):
-            clearance_m = numbers.margin_m
-            if half_m <= LOOK_M:  # longer pieces are settled by the coarse grid or cut
-                closely = half_m <= LOOK_CLOSELY_M
-                clearance_m = clearance_of_pose(around, body, x, y, z, yaw, need_m, numbers.margin_m, closely)
-                if not closely:
-                    clearance_m = max(clearance_m, numbers.margin_m)
-            if clearance_m < need_m and not is_certified(around, x, y, z, need_m):
-                if clearance_m < numbers.margin_m or half_m <= numbers.resolution_m:
+        along_m = min(shown_m + reach_m, motion_m)
+        reach_m = along_m - shown_m  # what the pose looked at must be clear by, beyond the margin
+        x, y, z, yaw = _at(start, end, along_m / motion_m if motion_m > 0 else 0.0)
+        free_m = certified_clearance_m(around, x, y, z)
+        need_m = numbers.margin_m + reach_m
+        if free_m < need_m:
+            if reach_m <= level_reach_m:
+                closely = reach_m <= LOOK_CLOSELY_M
+                level_m = level_clearance(around, body, x, y, z, yaw, need_m, closely)
+                free_m = max(free_m, min(level_m, numbers.margin_m + level_reach_m))
+                if free_m < need_m and reach_m <= numbers.resolution_m:
                     return False
-                level, place = level + 1, 2 * place
-                continue
-        # on to the next piece: up while this was the second half of its parent
-        while place & 1:
-            level, place = level - 1, place >> 1
-        if level == 0:
-            return True
-        place += 1
+            else:
+                free_m = max(free_m, quick_clearance(around, body, x, y, z, yaw))
+        free_m -= numbers.margin_m
+        if free_m >= reach_m:
+            shown_m = along_m + free_m
+            if shown_m >= motion_m:
+                return True
+            reach_m = max(SHORTER * free_m, STEP_M)
+        else:
+            reach_m = max(min(SHORTER * free_m, 0.9 * reach_m), 0.5 * reach_m)
 
 
 @compiled
@@ -241,7 +256,5 @@ def _clearances(around, body, poses):  # type: ignore[no-untyped-def]
     clearance_m = np.empty(len(poses))
     for n in range(len(poses)):
         x, y, z, yaw = poses[n, 0], poses[n, 1], poses[n, 2], poses[n, 3]
-        clearance_m[n] = max(
-            clearance_of_pose(around, body, x, y, z, yaw, np.inf, -np.inf, True), certified_clearance_m(around, x, y, z)
-        )
+        clearance_m[n] = max(clearance_of_pose(around, body, x, y, z, yaw), certified_clearance_m(around, x, y, z))
     return clearance_m

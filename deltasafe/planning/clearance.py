@@ -1,112 +1,21 @@
-"""How far a body is from the unsafe set: bounds from the coarsest, one look-up, to the finest, a cover of its disc."""
+"""How far a body is from the unsafe set: lower bounds, from one look-up to a cover of its disc by many balls."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltasafe.compiling import compiled, kernel
-from deltasafe.planning.body import ToolBody
-from deltasafe.planning.field import Lattice, SafetyField, clearance_at, close_clearance_at, is_unsafe_at
+from deltasafe.compiling import kernel
+from deltasafe.planning.field import FINE_UNIT_M, clearance_at, close_clearance_at, is_unsafe_at
+from deltasafe.planning.surroundings import UNIT_M
 
 __all__ = [
-    "BodyNumbers",
-    "Surroundings",
     "certified_clearance_m",
     "clearance_of_pose",
     "is_certified",
     "is_surely_unsafe",
-    "surroundings_of",
+    "level_clearance",
+    "quick_clearance",
 ]
-
-UNIT_M = 0.0005
-"""Resolution of the certificate: 255 steps reach 127 mm."""
-
-NO_SHAFT_M = -1e6
-
-
-class BodyNumbers(NamedTuple):
-    """The numbers of a tool's body."""
-
-    disc_radius_m: float
-    half_thickness_m: float
-    shaft_radius_m: float
-    rho_max_m: float
-    semi_axis_x_m: float
-    semi_axis_y_m: float
-
-
-class Surroundings(NamedTuple):
-    """A field as a body meets it.
-
-    Attributes:
-        certificate: (cx, cy, cz) uint8, the distance certificate: v > 0 says that the body is clear by v - 1 units
-            wherever in the cell its centre is and however it is turned; 0 says nothing.
-        ball, ray: squared distances (``FieldArrays``).
-        groups: (m, 5) few balls that contain the disc, tight in its plane: centre, radius, and the radius that also
-            contains the balls of the cover given to it; cover: (n, 4) many balls that contain the disc closely, by
-            group; first: (m + 1,) where in the cover each group begins.
-        lattice: of ``ball`` and ``ray``; a cell of the certificate is ``stride`` voxels an edge.
-        cells_per_m: cells of the certificate in a metre.
-        floor_z_m: the table.
-    """
-
-    certificate: NDArray[np.uint8]
-    ball: NDArray[np.uint16]
-    ray: NDArray[np.uint16]
-    groups: NDArray[np.float64]
-    cover: NDArray[np.float64]
-    first: NDArray[np.int64]
-    lattice: Lattice
-    cells_per_m: float
-    floor_z_m: float
-
-
-def surroundings_of(field: SafetyField, body: ToolBody) -> tuple[Surroundings, BodyNumbers]:
-    """Field and body as the tests of segments read them."""
-    shaft_m = body.shaft_radius_m if body.shaft_length_m > 0 else NO_SHAFT_M
-    numbers = BodyNumbers(
-        body.disc_radius_m, body.thickness_m / 2, shaft_m, body.rho_max_m, body.semi_axis_x_m, body.semi_axis_y_m
-    )
-    lattice = field.arrays.lattice
-    cell_m = lattice.stride * lattice.voxel_m
-    ball_m, ray_m = field.coarse_clearance_m
-    around = Surroundings(
-        _certificate(ball_m, ray_m, cell_m, *numbers[:3]),
-        field.arrays.ball,
-        field.arrays.ray,
-        *_grouped(body),
-        lattice,
-        1.0 / cell_m,
-        field.arrays.floor_z_m,
-    )
-    return around, numbers
-
-
-def _grouped(body: ToolBody) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    balls, (centres, radius_m) = body.disc_balls, body.disc_cover
-    away = np.linalg.norm(centres[:, None] - balls[:, :3], axis=2)
-    owner = (away - balls[:, 3]).argmin(axis=1)
-    outer = [away[owner == n, n].max(initial=0.0) + radius_m for n in range(len(balls))]
-    order = np.argsort(owner, kind="stable")  # within a group from the outside in, as in the cover
-    cover = np.column_stack([centres, np.full(len(centres), radius_m)])[order]
-    first = np.searchsorted(owner[order], np.arange(len(balls) + 1))
-    return np.column_stack([balls, np.maximum(outer, balls[:, 3])]), cover, first
-
-
-@compiled
-def _certificate(ball_m, ray_m, cell_m, disc_radius_m, half_thickness_m, shaft_radius_m):  # type: ignore[no-untyped-def]
-    certificate = np.zeros(ball_m.shape, np.uint8)
-    nx, ny, nz = ball_m.shape
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                clear_m = min(ball_m[i, j, k] - disc_radius_m, ray_m[i, j, k] - shaft_radius_m)
-                clear_m = min(clear_m, k * cell_m - half_thickness_m) - 1e-6
-                if clear_m >= 0.0:
-                    certificate[i, j, k] = min(int(clear_m / UNIT_M), 254) + 1
-    return certificate
 
 
 @kernel
@@ -127,6 +36,77 @@ def is_certified(around, x, y, z, need_m):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def quick_clearance(around, body, x, y, z, yaw):  # type: ignore[no-untyped-def]
+    """Lower bound of the body's clearance from one look-up a ball, in the disc's few balls and along the shaft."""
+    lattice = around.lattice
+    last_u, last_v, last_w = lattice.nx - 1.0, lattice.ny - 1.0, lattice.nz - 1.0
+    u, v = (x - lattice.lower_x_m) * lattice.per_m, (y - lattice.lower_y_m) * lattice.per_m
+    k = int(min(max((z - lattice.lower_z_m) * lattice.per_m, 0.0), last_w))
+    i, j = int(min(max(u, 0.0), last_u)), int(min(max(v, 0.0), last_v))
+    least_m = FINE_UNIT_M * (around.above[i, j, k] - 1.0) - body.shaft_radius_m
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    for n in range(len(around.few)):
+        a, b = around.few[n, 0], around.few[n, 1]
+        i, j = int(min(max(u + cos * a - sin * b, 0.0), last_u)), int(min(max(v + sin * a + cos * b, 0.0), last_v))
+        least_m = min(least_m, FINE_UNIT_M * (around.near[i, j, k] - 1.0) - around.few[n, 2])
+    return min(least_m, z - body.half_thickness_m - around.floor_z_m)
+
+
+@kernel
+def level_clearance(around, body, x, y, z, yaw, enough_m, closely):  # type: ignore[no-untyped-def]
+    """Lower bound of the way that the body may go sideways while it keeps its height up to ``slab_m``.
+
+    -inf if it is not ``enough_m``. Each of the disc's few balls is seen from above, with all that is unsafe in the
+    slices that it may meet; ``closely``, what that leaves open is settled by the ball's own part of the cover.
+    """
+    lattice = around.lattice
+    last_u, last_v, last_w = lattice.nx - 1.0, lattice.ny - 1.0, lattice.nz - 1.0
+    u, v = (x - lattice.lower_x_m) * lattice.per_m, (y - lattice.lower_y_m) * lattice.per_m
+    k = int(min(max((z - lattice.lower_z_m) * lattice.per_m, 0.0), last_w))
+    least_m = z - body.half_thickness_m - around.floor_z_m
+    if body.shaft_radius_m > 0:
+        i, j = int(min(max(u, 0.0), last_u)), int(min(max(v, 0.0), last_v))
+        shaft_m = FINE_UNIT_M * (around.above[i, j, k] - 1.0)
+        if closely and shaft_m - body.shaft_radius_m < enough_m:
+            shaft_m = close_clearance_at(around.ray, lattice, x, y, z)
+        least_m = min(least_m, shaft_m - body.shaft_radius_m)
+    if least_m < enough_m:
+        return -np.inf
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    for n in range(len(around.few)):
+        a, b = around.few[n, 0], around.few[n, 1]
+        p, q = min(max(u + cos * a - sin * b, 0.0), last_u + 1), min(max(v + sin * a + cos * b, 0.0), last_v + 1)
+        one_m = _seen_from_above(around, p, q, k, enough_m + around.few[n, 3]) - around.few[n, 3]
+        if one_m < enough_m:
+            if not closely:
+                return -np.inf
+            one_m = _clearance_of_group(around, n, x, y, z, cos, sin, enough_m) - around.groups[n, 4]
+            if one_m < enough_m:
+                one_m = _clearance_of_cover(around, n, x, y, z, cos, sin, enough_m, enough_m)
+                if one_m < enough_m:
+                    return -np.inf
+        least_m = min(least_m, one_m)
+    return least_m
+
+
+@kernel
+def _seen_from_above(around, p, q, k, enough_m):  # type: ignore[no-untyped-def]
+    """Horizontal clearance of a point (p, q), in voxels, in slice k: from its own voxel, or from the best of four."""
+    lattice, slabs = around.lattice, around.slabs
+    i, j = min(int(p), lattice.nx - 1), min(int(q), lattice.ny - 1)
+    du, dv = p - i - 0.5, q - j - 0.5
+    best_m = FINE_UNIT_M * slabs[k, i, j] - lattice.voxel_m * math.sqrt(du * du + dv * dv)
+    if best_m < enough_m:
+        i2 = min(max(i + (1 if du > 0 else -1), 0), lattice.nx - 1)
+        j2 = min(max(j + (1 if dv > 0 else -1), 0), lattice.ny - 1)
+        eu, ev = p - i2 - 0.5, q - j2 - 0.5
+        best_m = max(best_m, FINE_UNIT_M * slabs[k, i2, j] - lattice.voxel_m * math.sqrt(eu * eu + dv * dv))
+        best_m = max(best_m, FINE_UNIT_M * slabs[k, i, j2] - lattice.voxel_m * math.sqrt(du * du + ev * ev))
+        best_m = max(best_m, FINE_UNIT_M * slabs[k, i2, j2] - lattice.voxel_m * math.sqrt(eu * eu + ev * ev))
+    return best_m
+
+
+@kernel
 def is_surely_unsafe(around, body, x, y, z, yaw):  # type: ignore[no-untyped-def]
     """Whether the centre or a vertex of the disc's ellipse is in an unsafe voxel: five look-ups, no bound."""
     if is_unsafe_at(around.ball, around.lattice, x, y, z):
@@ -142,53 +122,22 @@ def is_surely_unsafe(around, body, x, y, z, yaw):  # type: ignore[no-untyped-def
 
 
 @kernel
-def clearance_of_pose(around, body, x, y, z, yaw, enough_m, least_m, closely):  # type: ignore[no-untyped-def]
-    """Lower bound of the body's clearance: not sought further once surely ``enough_m`` or below ``least_m``.
+def clearance_of_pose(around, body, x, y, z, yaw):  # type: ignore[no-untyped-def]
+    """Lower bound of the body's clearance, as close as there is: of the disc's lower face, the shaft, and the disc.
 
-    Table: the disc's lower face. Shaft: the ray above the centre, thickened. Disc: its enclosing ball or, if that
-    is not clear by enough, the few balls along it or, ``closely`` and where one of these is not, those of its cover.
+    The disc's is the best of its enclosing ball, its few balls and its cover.
     """
-    lattice = around.lattice
     others_m = z - body.half_thickness_m - around.floor_z_m
-    if others_m < least_m:
-        return others_m
-    centre_m = clearance_at(around.ball, lattice, x, y, z)
-    shaft_m = clearance_at(around.ray, lattice, x, y, z) - body.shaft_radius_m
-    if shaft_m < enough_m:
-        shaft_m = close_clearance_at(around.ray, lattice, x, y, z) - body.shaft_radius_m
-        if shaft_m < least_m:
-            return shaft_m
-    others_m = min(others_m, shaft_m)
-    disc_m = centre_m - body.disc_radius_m
-    if disc_m < enough_m:
-        disc_m = max(disc_m, _clearance_of_disc(around, x, y, z, yaw, enough_m, least_m, closely))
-    return min(others_m, disc_m)
-
-
-@kernel
-def _clearance_of_disc(around, x, y, z, yaw, enough_m, least_m, closely):  # type: ignore[no-untyped-def]
-    """The better of two bounds: of the few balls, and of the cover; -inf once a ball of it is below ``least_m``.
-
-    Within the second, a group is settled by one ball around its part of the cover, if that is clear by enough.
-    """
+    others_m = min(others_m, close_clearance_at(around.ray, around.lattice, x, y, z) - body.shaft_radius_m)
+    disc_m = clearance_at(around.ball, around.lattice, x, y, z) - body.disc_radius_m
     cos, sin = math.cos(yaw), math.sin(yaw)
     few_m, cover_m = np.inf, np.inf
     for n in range(len(around.groups)):
-        few_m = min(few_m, _clearance_of_group(around, n, x, y, z, cos, sin, enough_m) - around.groups[n, 3])
-        if few_m < enough_m < np.inf:
-            few_m = -np.inf  # the smallest of some is no bound of all
-            break
-    if few_m >= enough_m or not closely:
-        return few_m
-    for n in range(len(around.groups)):
-        group_m = _clearance_of_group(around, n, x, y, z, cos, sin, enough_m) - around.groups[n, 4]
-        if group_m < enough_m:
-            part_m = _clearance_of_cover(around, n, x, y, z, cos, sin, enough_m, least_m)
-            if part_m < least_m:
-                return -np.inf
-            group_m = max(group_m, part_m)
-        cover_m = min(cover_m, group_m)
-    return max(few_m, cover_m)
+        centre_m = _clearance_of_group(around, n, x, y, z, cos, sin, np.inf)
+        part_m = _clearance_of_cover(around, n, x, y, z, cos, sin, np.inf, -np.inf)
+        few_m = min(few_m, centre_m - around.groups[n, 3])
+        cover_m = min(cover_m, max(centre_m - around.groups[n, 4], part_m))
+    return min(others_m, max(disc_m, few_m, cover_m))
 
 
 @kernel

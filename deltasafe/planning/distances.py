@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compiling import compiled, kernel
 
-__all__ = ["MOST_VOXELS", "squared_distance_to_voxels"]
+__all__ = ["MOST_VOXELS", "squared_distance_in_slabs", "squared_distance_to_voxels"]
 
 MOST_VOXELS = 90
 """Largest reach in voxels: twice its square, in half voxels, still fits 16 bits."""
@@ -26,6 +26,40 @@ def squared_distance_to_voxels(unsafe: NDArray[np.bool_], reach: int) -> NDArray
     if not 1 <= reach <= MOST_VOXELS:
         raise ValueError(f"reach must be between 1 and {MOST_VOXELS} voxels, got {reach}")
     return np.asarray(_transformed(np.ascontiguousarray(unsafe), int(reach)))
+
+
+def squared_distance_in_slabs(unsafe: NDArray[np.bool_], half_height: int, reach: int) -> NDArray[np.uint16]:
+    """Squared horizontal distance (nz, nx, ny) to what is unsafe up to ``half_height`` slices below and above.
+
+    From the middle of a voxel in plan view to the nearest edge, in half voxels squared; at most (2 reach)^2.
+    """
+    if not 1 <= reach <= MOST_VOXELS:
+        raise ValueError(f"reach must be between 1 and {MOST_VOXELS} voxels, got {reach}")
+    return np.asarray(_flat(np.ascontiguousarray(unsafe.transpose(2, 0, 1)), int(half_height), int(reach)))
+
+
+@compiled
+def _flat(slices, half_height, reach):  # type: ignore[no-untyped-def]
+    nz, nx, ny = slices.shape
+    limit = np.uint16(4 * reach * reach)
+    squared = np.empty((nz, nx, ny), np.uint16)
+    slab, beside = np.empty((nx, ny), np.bool_), np.empty((nx, ny), np.uint16)
+    near = np.empty(nx, np.bool_)
+    for k in range(nz):
+        slab[:] = slices[k]
+        for other in range(max(k - half_height, 0), min(k + half_height + 1, nz)):
+            slab |= slices[other]
+        for i in range(nx):
+            near[i] = _sweep(slab[i], beside[i], reach)
+        for i in range(nx):
+            squared[k, i] = np.minimum(beside[i], limit)
+            for shift in range(1, reach + 1):
+                away = np.uint16((2 * shift - 1) * (2 * shift - 1))
+                if i >= shift and near[i - shift]:
+                    _lower(squared[k, i], beside[i - shift], away)
+                if i + shift < nx and near[i + shift]:
+                    _lower(squared[k, i], beside[i + shift], away)
+    return squared
 
 
 @compiled

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compiling import compiled, kernel
 from deltasafe.errors import SettingsError
-from deltasafe.planning.distances import MOST_VOXELS, squared_distance_to_voxels
+from deltasafe.planning.distances import MOST_VOXELS, squared_distance_in_slabs, squared_distance_to_voxels
 from deltasafe.scene import OccupancyGrid
 
 __all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "close_clearance_at", "is_unsafe_at"]
@@ -22,6 +22,12 @@ COARSE_M = 0.01
 """Edge of a cell of the coarse grid of minimum clearances."""
 
 COARSE_REACH_M = 0.12
+SLAB_REACH_M = 0.04
+LEAST_RISE = 0.8
+"""Of voxels, by which a body may rise or sink within the slices that are looked at together."""
+FINE_UNIT_M = 0.00025
+"""Resolution of the clearances of voxels: 255 steps reach a little further than they are exact."""
+
 ROUNDING = 1 - 1e-6
 
 
@@ -110,6 +116,44 @@ class SafetyField:
         return np.packbits(self.arrays.ball == 0, axis=2, bitorder="little")
 
     @functools.cached_property
+    def fine_clearance(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Lower bounds of the distance to unsafe voxels over all points of a voxel, and over the rays above them.
+
+        In steps of ``FINE_UNIT_M``, one more than the bound; 0 where there is none.
+        """
+        voxel_m = self.arrays.lattice.voxel_m
+        squared = np.arange(int(max(self.arrays.ball.max(), self.arrays.ray.max())) + 1)
+        bound_m = np.sqrt(squared) * (voxel_m / 2 * ROUNDING) - voxel_m * math.sqrt(3) / 2 * (2 - ROUNDING)
+        steps = np.where(bound_m >= 0, np.minimum(np.floor(bound_m / FINE_UNIT_M), 254) + 1, 0).astype(np.uint8)
+        return _looked_up(steps, self.arrays.ball), _looked_up(steps, self.arrays.ray)
+
+    def slabs(self, half_height_m: float) -> tuple[NDArray[np.uint8], float]:
+        """Horizontal distances (nz, nx, ny), in steps of ``FINE_UNIT_M``, to what is unsafe in the slices around.
+
+        Args:
+            half_height_m: how far above and below its middle a body reaches.
+
+        Returns:
+            distances, and by how much the body may rise or sink without meeting further slices.
+        """
+        lattice = self.arrays.lattice
+        half = math.ceil(half_height_m / lattice.voxel_m + LEAST_RISE)
+        if half not in self._slabs:
+            unsafe = self.arrays.ball == 0
+            squared = squared_distance_in_slabs(
+                unsafe, half, min(math.ceil(SLAB_REACH_M / lattice.voxel_m), MOST_VOXELS)
+            )
+            steps = np.floor(
+                np.sqrt(np.arange(int(squared.max()) + 1)) * (lattice.voxel_m / 2 * ROUNDING / FINE_UNIT_M)
+            )
+            self._slabs[half] = _looked_up(np.minimum(steps, 255).astype(np.uint8), squared)
+        return self._slabs[half], half * lattice.voxel_m - half_height_m
+
+    @functools.cached_property
+    def _slabs(self) -> dict[int, NDArray[np.uint8]]:
+        return {}
+
+    @functools.cached_property
     def coarse_clearance_m(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Lower bounds of the distance to unsafe voxels over all points of a block of ``stride`` voxels an edge.
 
@@ -186,6 +230,17 @@ def _clearances(field, points_m):  # type: ignore[no-untyped-def]
         x, y, z = points_m[n, 0], points_m[n, 1], points_m[n, 2]
         clearance_m[n] = min(close_clearance_at(field.ball, field.lattice, x, y, z), z - field.floor_z_m)
     return clearance_m
+
+
+@compiled
+def _looked_up(table, squared):  # type: ignore[no-untyped-def]
+    found = np.empty(squared.shape, np.uint8)
+    nx, ny, nz = squared.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                found[i, j, k] = table[squared[i, j, k]]
+    return found
 
 
 @compiled

@@ -16,7 +16,7 @@ from deltasafe.planning import (
     is_segment_safe,
     segment_test,
 )
-from deltasafe.planning.checks import METHODS
+from deltasafe.planning.checks import MANY_SAMPLES, METHODS
 from deltasafe.planning.field import REACH_M
 from deltasafe.scene import OccupancyGrid
 
@@ -85,7 +85,7 @@ def test_segments_are_symmetric(method: str, grids: list[OccupancyGrid]) -> None
     assert 0 < there.sum() < len(there)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ["sampled", "exact"])
 def test_the_certificate_changes_no_answer(method: str, grids: list[OccupancyGrid]) -> None:
     for grid in grids:
         field = SafetyField.build(grid, 0.05)
@@ -94,6 +94,34 @@ def test_the_certificate_changes_no_answer(method: str, grids: list[OccupancyGri
             for flag in (True, False)
         )
         assert (answers(on, segments(5, 300)) == answers(off, segments(5, 300))).all()
+
+
+def test_a_finer_resolution_accepts_all_that_a_coarser_one_does(grids: list[OccupancyGrid]) -> None:
+    """So a path that the search accepted is never refused by its verification, which is the finest."""
+    gained = 0
+    for grid in grids:
+        field = SafetyField.build(grid, 0.05)
+        coarse, fine = (
+            answers(segment_test(field, BODY, 0.001, CheckSettings(resolution_m=resolution_m)), segments(7, 300))
+            for resolution_m in (0.002, 0.00025)
+        )
+        assert (fine >= coarse).all()
+        gained += int((fine > coarse).sum())
+    assert gained > 0
+
+
+def test_a_first_look_by_the_exact_test_changes_no_answer(
+    grids: list[OccupancyGrid],
+) -> None:
+    """What the exact test shows to be free holds no unsafe sample, however many there are."""
+    for grid in grids:
+        field = SafetyField.build(grid, 0.05)
+        many = segment_test(field, BODY, 0.001, CheckSettings(method="sampled", n_samples=MANY_SAMPLES), seed=5)
+        exact = segment_test(field, BODY, 0.001, CheckSettings(method="exact"))
+        few = many._replace(pool=many.pool._replace(n_samples=MANY_SAMPLES - 1))
+        pairs = segments(6, 200)
+        assert (answers(many, pairs) >= answers(exact, pairs)).all()
+        assert (answers(few, pairs) >= answers(many, pairs)).all()
 
 
 def test_more_samples_accept_fewer_segments_and_draws_depend_on_the_seed(grids: list[OccupancyGrid]) -> None:

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from deltasafe.errors import SettingsError
 from deltasafe.planning import SafetyField
-from deltasafe.planning.distances import squared_distance_to_voxels
+from deltasafe.planning.distances import squared_distance_in_slabs, squared_distance_to_voxels
 from deltasafe.planning.field import REACH_M
 from deltasafe.scene import OccupancyGrid
 
@@ -28,6 +28,23 @@ def test_distance_transform_against_brute_force(seed: int, reach: int, share: fl
     if len(cells):
         expected = np.minimum(box_distance(centres, cells, cells + 1) ** 2, reach**2)
     np.testing.assert_array_equal(squared.ravel(), np.rint(4 * expected))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**31), st.integers(0, 3), st.integers(1, 9), st.floats(0.01, 0.3))
+def test_distances_in_slabs_against_brute_force(seed: int, half: int, reach: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    unsafe = rng.random(rng.integers(1, 9, 3)) < share
+    squared = squared_distance_in_slabs(unsafe, half, reach)
+    assert squared.shape == (unsafe.shape[2], *unsafe.shape[:2])
+    for k, found in enumerate(squared):
+        slab = unsafe[:, :, max(k - half, 0) : k + half + 1].any(axis=2)
+        cells = np.argwhere(slab)
+        centres = np.argwhere(np.ones_like(slab)) + 0.5
+        expected = np.full(len(centres), float(reach**2))
+        if len(cells):
+            expected = np.minimum(box_distance(centres, cells, cells + 1) ** 2, reach**2)
+        np.testing.assert_array_equal(found.ravel(), np.rint(4 * expected))
 
 
 def truth(grid: OccupancyGrid, delta: float, points: np.ndarray) -> np.ndarray:
