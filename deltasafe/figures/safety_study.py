@@ -95,12 +95,14 @@ def plot_speed(study: SafetyStudy, destination: str | pathlib.Path) -> None:
                     nearest_mm = 1000 * one.min_tool_m
                     ax.bar(n + offset, nearest_mm, 0.38, color=COLOURS[name], alpha=0.85)
                     share = f"{100 * one.poses / poses:.0f} %"
-                    ax.text(n + offset, nearest_mm + 0.3, share, ha="center", va="bottom", fontsize=6.5)
+                    place = (n + offset, nearest_mm)
+                    ax.annotate(share, place, (0, 2), textcoords="offset points", ha="center", fontsize=6.5)
         edges = by_speed(study, "ours", delta)
         ticks = [f"{1000 * one.from_mps:.0f}-{1000 * one.to_mps:.0f}" for one in edges[:-1]]
         ax.set_xticks(range(len(edges)), [*ticks, f"> {1000 * edges[-1].from_mps:.0f}"], fontsize=7.5)
         ax.set_title(f"delta = {delta:g}", fontsize=10)
         ax.set_xlabel("reference speed [mm/s]")
+        ax.margins(y=0.1)
         _clean(ax)
     panels[0].set_ylabel("smallest distance to the true hand [mm]\n(above: share of poses)")
     handles = [Line2D([], [], color=COLOURS[name], lw=6, label=_label(study, name)) for name in ("ours", "top_speed")]

@@ -62,7 +62,7 @@ def _opening(study: SafetyStudy) -> str:
     text += (
         "A situation is a scene, a picture of it (exposure, white balance, noise and compression drawn anew), start "
         "and goal on either side of the hand, an arm (friction, torque sensors) and a single member of the ensemble. "
-        f"Ours meets all of them, the others every {settings.beside_every}. one; all contenders meet the same."
+        f"Ours meets all of them, the others one in {settings.beside_every}; all contenders meet the same."
     )
     least = study.inputs.smallest_supported_delta
     beyond = [f"{delta:g}" for delta in settings.deltas if least is None or delta < least]
@@ -81,7 +81,7 @@ def _violations(study: SafetyStudy, kind: str) -> str:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for name in study.settings.contenders:
-        for delta in study.settings.deltas:
+        for delta in study.settings.deltas_of(name):
             found = cell(study, name, delta)
             rate: Rate = found.model if kind == "model" else found.reality
             if not rate.n:
@@ -103,7 +103,7 @@ def _clearances(study: SafetyStudy) -> str:
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name in study.settings.contenders:
-        for delta in study.settings.deltas:
+        for delta in study.settings.deltas_of(name):
             found = cell(study, name, delta)
             lines.append(
                 f"| {_label(study, name)} | {delta:g} | {_mm(found.min_tool_m)} | {_mm(found.quantiles_tool_m[0])} | "
@@ -143,7 +143,7 @@ def _pairs(study: SafetyStudy, other: str) -> str:
         "| its clearance less ours (median) | its duration by ours |",
         "|---|---|---|---|---|---|---|",
     ]
-    for delta in study.settings.deltas:
+    for delta in study.settings.deltas_of(other):
         pair = pairing(study, "ours", other, delta)
         ratio = f"{pair.faster:.2f}" if np.isfinite(pair.faster) else "-"
         lines.append(
@@ -174,10 +174,10 @@ def _parametric_note(study: SafetyStudy) -> str:
         f"They are told of at most {study.settings.n_obstacles} ellipsoids at Gaussian positions, fitted to the same "
         "picture of p_occupied by a fixed rule (`deltasafe/safety_study/obstacles.py`), and see the border of the view "
         "and the table as we do. The robot is the ball around the disc, several obstacles share delta by Boole, "
-        "Kamel's bounding volume keeps 3 sigma whatever delta is. They know no velocity schedule: the tracking error "
-        "at top speed is part of the ball, and the motion is at top speed. What they are *not* told is where the "
-        "picture suspects a hand without reaching 0.5: there they have no obstacle. That is a limit of such models, "
-        "not of our fit. *Beyond delta* is about the ensemble's field, which these methods do not know."
+        "Kamel's bounding volume keeps 3 sigma whatever delta is, and is run once. They know no velocity schedule: the "
+        "tracking error at top speed is part of the ball, and the motion is at top speed. What they are *not* told is "
+        "where the picture suspects a hand without reaching 0.5: there they have no obstacle. That is a limit of such "
+        "models, not of our fit. *Beyond delta* is about the ensemble's field, which these methods do not know."
     )
 
 
@@ -189,7 +189,7 @@ def _refusals(study: SafetyStudy) -> str:
         return "None."
     lines = ["| contender | delta | trials | " + " | ".join(reasons) + " |", "|---|---|---|" + "---|" * len(reasons)]
     for name in study.settings.contenders:
-        for delta in study.settings.deltas:
+        for delta in study.settings.deltas_of(name):
             found = cell(study, name, delta)
             counts = " | ".join(str(found.refusals.get(reason, 0)) for reason in reasons)
             lines.append(f"| {_label(study, name)} | {delta:g} | {found.trials} | {counts} |")

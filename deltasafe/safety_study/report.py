@@ -38,9 +38,9 @@ def figures_of(study: SafetyStudy) -> dict[str, float]:
         "realtime_factor_execution_one_core": study.simulated_s / execute_s if execute_s > 0 else float("nan"),
         **{f"cpu_s_per_trial_{stage}": spent / len(executed) for stage, spent in study.stage_s.items()},
     }
-    for delta in study.settings.deltas:
-        level = f"delta_{round(100 * delta):03d}"
-        for name in study.settings.contenders:
+    for name in study.settings.contenders:
+        for delta in study.settings.deltas_of(name):
+            level = f"delta_{round(100 * delta):03d}"
             found, prefix = cell(study, name, delta), "" if name == "ours" else f"{name}_"
             figures |= {
                 f"{prefix}executions_{level}": found.executed,

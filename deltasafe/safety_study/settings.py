@@ -100,7 +100,7 @@ class SafetyStudySettings:
 
     A situation is a scene, a picture of it (camera noise), start and goal, an arm and a single member, all drawn from
     ``seed`` and its number. Ours meets every situation at every delta, the other contenders every ``beside_every``-th:
-    all of them meet the same situations.
+    all of them meet the same situations. The bounding volume, which has no delta, meets them once, at the middle one.
 
     Attributes:
         deltas: levels.
@@ -117,7 +117,7 @@ class SafetyStudySettings:
     deltas: tuple[float, ...] = (0.01, 0.05, 0.2)
     n_executions: int = 3000
     beside: tuple[str, ...] = CONTENDERS[1:]
-    beside_every: int = 3
+    beside_every: int = 5
     seed: int = 0
     n_obstacles: int = 8
     n_bootstrap: int = 2000
@@ -147,20 +147,27 @@ class SafetyStudySettings:
         """Ours and those beside it."""
         return (CONTENDERS[0], *self.beside)
 
-    def contenders_of(self, situation: int) -> tuple[str, ...]:
-        """Who meets situation number ``situation``."""
-        return (CONTENDERS[0], *(self.beside if situation % self.beside_every == 0 else ()))
+    def deltas_of(self, contender: str) -> tuple[float, ...]:
+        """The levels that a contender is run at."""
+        return self.deltas if contender != "bounding_volume" else (self.deltas[len(self.deltas) // 2],)
 
     def trials_of(self, situation: int) -> tuple[tuple[str, float], ...]:
         """Contender and delta of each trial of a situation."""
-        return tuple((name, delta) for name in self.contenders_of(situation) for delta in self.deltas)
+        names = self.contenders if situation % self.beside_every == 0 else CONTENDERS[:1]
+        return tuple((name, delta) for name in names for delta in self.deltas_of(name))
+
+    @property
+    def trials_per_situation(self) -> float:
+        """On average."""
+        few, many = len(self.trials_of(1)) if self.beside_every > 1 else 0, len(self.trials_of(0))
+        return (many + (self.beside_every - 1) * few) / self.beside_every
 
     def situation_and_place(self, trial: int) -> tuple[int, int]:
         """Situation of trial number ``trial``, and its place in it; trials are counted situation by situation."""
         if trial < 0:
             raise SettingsError(f"a trial's number is not negative, got {trial}")
         few = len(self.deltas)
-        many = (1 + len(self.beside)) * few
+        many = len(self.trials_of(0))
         round_, rest = divmod(trial, many + (self.beside_every - 1) * few)
         if rest < many:
             return round_ * self.beside_every, rest

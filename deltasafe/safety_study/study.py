@@ -200,16 +200,12 @@ _NOT_OF_A_TRIAL = ("n_executions", "n_bootstrap", "n_films")
 def _more(settings: SafetyStudySettings, executed: int, situations: int) -> int:
     """How many situations to add: at first as if few were refused, then what is missing by the rate so far."""
     if situations == 0:
-        return max(1, math.floor(settings.n_executions / _trials_per_situation(settings)))
+        return max(1, math.floor(settings.n_executions / settings.trials_per_situation))
     if executed == 0:
         if situations >= MOST_BARREN:
             raise SettingsError(f"not one motion was executed in {situations} situations; look at their outcomes")
         return MOST_BARREN
     return math.ceil(1.02 * (settings.n_executions - executed) * situations / executed)
-
-
-def _trials_per_situation(settings: SafetyStudySettings) -> float:
-    return len(settings.deltas) * (1 + len(settings.beside) / settings.beside_every)
 
 
 def _restored(kind: Any, record: Mapping[str, Any]) -> Any:

@@ -45,10 +45,13 @@ def test_trials_are_counted_situation_by_situation(beside_every, trial):
 
 
 def test_ours_meets_every_situation_and_the_others_some():
-    assert SETTINGS.contenders_of(0) == CONTENDERS
-    assert SETTINGS.contenders_of(1) == SETTINGS.contenders_of(2) == ("ours",)
-    assert SETTINGS.contenders_of(3) == CONTENDERS
-    assert len(SETTINGS.trials_of(0)) == 3 * len(CONTENDERS)
+    assert tuple(dict(SETTINGS.trials_of(0))) == CONTENDERS
+    assert SETTINGS.trials_of(1) == SETTINGS.trials_of(4) == tuple(("ours", delta) for delta in SETTINGS.deltas)
+    assert SETTINGS.trials_of(5) == SETTINGS.trials_of(0)
+    # the bounding volume does not depend on delta: to run it again would count the same motion twice
+    assert [delta for name, delta in SETTINGS.trials_of(0) if name == "bounding_volume"] == [0.05]
+    counts = [len(SETTINGS.trials_of(situation)) for situation in range(10)]
+    assert np.mean(counts) == SETTINGS.trials_per_situation
     alone = dataclasses.replace(SETTINGS, beside=())
     assert alone.trials_of(0) == alone.trials_of(1) == tuple(("ours", delta) for delta in alone.deltas)
     assert alone.situation_and_place(7) == (2, 1)
