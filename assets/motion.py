@@ -95,7 +95,7 @@ def occupancy_fields(
     folder = store.folder("occupancy_fields", context.run_id[:8])
     write_fields(load_ensemble(champion), scenes, folder, config.settings(), progress_of(context))
     picture = overview(scenes, folder, PRESET.motion.delta, folder / "overview.jpg")
-    metadata = {"overview": inline_picture(picture), "scenes": len(scenes), "ensemble": champion.name}
+    metadata: Metadata = {"overview": inline_picture(picture), "scenes": len(scenes), "ensemble": champion.name}
     return dg.Output(folder, metadata={**metadata, **folder_facts(folder)})
 
 

@@ -8,7 +8,7 @@ from assets.config import configurable
 from assets.interfaces import Store
 from assets.operation import ALL_CORES, TWICE_MORE, fails_for_good
 from assets.progress import progress_of
-from assets.reporting import folder_facts, inline_picture
+from assets.reporting import Metadata, folder_facts, inline_picture
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -84,7 +84,7 @@ def scene_motion(
     settings, field = config.motion.settings(), config.field.settings()
     motion = plan_scene(logged_scene, champion, folder, field, settings, config.seed, progress_of(context))
     plan = inline_picture(folder / "motions" / context.partition_key / "plan.png", 60_000)
-    facts = {"safe motion": motion.is_safe, "reason": motion.reason, "ensemble": champion.name}
+    facts: Metadata = {"safe motion": motion.is_safe, "reason": motion.reason, "ensemble": champion.name}
     return dg.Output(folder, metadata={"plan": plan, **facts, **folder_facts(folder)})
 
 

@@ -49,7 +49,6 @@ def _config_classes() -> dict[str, type[dg.Config]]:
     loaded = [*dg.load_assets_from_package_module(assets), *dg.load_asset_checks_from_package_module(assets)]
     for definition in loaded:
         op = getattr(definition, "node_def", None)
-        config = op.compute_fn.get_config_arg() if op is not None and op.compute_fn.has_config_arg() else None
-        if config is not None:
-            found[op.name] = config.annotation
+        if op is not None and op.compute_fn.has_config_arg():
+            found[op.name] = op.compute_fn.get_config_arg().annotation
     return found

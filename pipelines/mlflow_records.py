@@ -83,9 +83,9 @@ class MlflowRecords:
             for first in range(0, len(metrics), 1000):
                 self.client.log_batch(child, metrics=metrics[first : first + 1000])
         shared = {key: value for key, value in parameters.items() if key != "seed"}
-        for target, values in ((child, parameters), (parent, shared)):
+        for target, meant in ((child, dict(parameters)), (parent, shared)):
             known = self.client.get_run(target).data.params
-            new = [Param(key, value) for key, value in values.items() if key not in known]
+            new = [Param(key, value) for key, value in meant.items() if key not in known]
             self.client.log_batch(target, params=new)
         self._log_data(child, data, "training")
         if pathlib.Path(figure).is_file():
