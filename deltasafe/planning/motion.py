@@ -16,7 +16,7 @@ from deltasafe.planning.results import PlanResult, PlanStatus
 from deltasafe.planning.scc_rrt_star import PlannerSettings, plan
 from deltasafe.planning.tracking import TrackingBound
 from deltasafe.planning.velocity import SpeedProfile, VelocitySettings, schedule
-from deltasafe.scene import OccupancyGrid
+from deltasafe.scene import OccupancyGrid, Sighting
 from deltasafe.storage import atomic_folder, read_json, write_json
 
 __all__ = ["MotionSettings", "PlannedMotion", "plan_motion"]
@@ -56,6 +56,7 @@ class PlannedMotion:
         profile: clearance, limit and speed along the blended path; None with ``trajectory``.
         reason: empty if there is a trajectory, else why not.
         settings, body, tracking, seed: what it was planned with.
+        seen: which image the field was made from, if from one.
     """
 
     result: PlanResult
@@ -66,6 +67,7 @@ class PlannedMotion:
     body: ToolBody
     tracking: TrackingBound
     seed: int
+    seen: Sighting | None = None
 
     @property
     def is_safe(self) -> bool:
@@ -83,6 +85,7 @@ class PlannedMotion:
             "body": dataclasses.asdict(self.body),
             "tracking": dataclasses.asdict(self.tracking),
             "seed": self.seed,
+            "seen": None if self.seen is None else dataclasses.asdict(self.seen),
         }
         arrays: dict[str, Any] = {}
         if self.result.path is not None:
@@ -125,6 +128,7 @@ class PlannedMotion:
                 ToolBody(**record["body"]),
                 TrackingBound(**record["tracking"]),
                 record["seed"],
+                Sighting(**record["seen"]) if record.get("seen") else None,
             )
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(folder, f"does not hold a planned motion ({error!r}); plan it again") from error
@@ -139,11 +143,13 @@ def plan_motion(
     seed: int,
     body: ToolBody | None = None,
     tracking: TrackingBound | None = None,
+    seen: Sighting | None = None,
 ) -> PlannedMotion:
     """Path, verification and schedule in one. A scene without a safe path is an outcome with its reason.
 
     Args:
         tracking: gamma; that of the settings if None.
+        seen: which image the grid was made from; travels with the motion.
 
     Raises:
         SettingsError: the table is not the lower face of the grid, or a setting is outside its domain.
@@ -161,7 +167,7 @@ def plan_motion(
             trajectory, profile = schedule(result.path, field, settings, body, tracking, settings.rotation_weight_m2)
         except PlanningError as error:
             reason = str(error)
-    return PlannedMotion(result, trajectory, profile, reason, settings, body, tracking, seed)
+    return PlannedMotion(result, trajectory, profile, reason, settings, body, tracking, seed, seen)
 
 
 def _json(value: object) -> object:

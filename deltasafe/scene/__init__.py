@@ -6,6 +6,7 @@ from deltasafe.scene.fusion import fuse_grids
 from deltasafe.scene.logs import LoggedScene, load_scenes
 from deltasafe.scene.occupancy import OccupancyGrid
 from deltasafe.scene.shapes import Cuboid, Shape, Sphere, grid_from_shapes, p_occupied_near
+from deltasafe.scene.sighting import Sighting
 
 __all__ = [
     "Camera",
@@ -14,6 +15,7 @@ __all__ = [
     "LoggedScene",
     "OccupancyGrid",
     "Shape",
+    "Sighting",
     "Sphere",
     "fuse_grids",
     "grid_from_image",

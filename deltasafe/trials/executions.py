@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.execution.recording import Execution
 from deltasafe.execution.simulate import ExecutionSettings, execute, iiwa_for
+from deltasafe.planning import SafetyField
 from deltasafe.progress import Progress, silent
 from deltasafe.scene import LoggedScene
 from deltasafe.storage import atomic_folder, read_json, write_json
-from deltasafe.trials.fields import load_field
+from deltasafe.trials.fields import load_field, load_seen
 from deltasafe.trials.motions import load_motion
 
 __all__ = ["Outcome", "execute_scenes", "load_execution", "load_outcomes"]
@@ -82,8 +83,9 @@ def _execute(job: _Job) -> Outcome:
     motion = load_motion(job.motions, scene.id)
     if motion.trajectory is None:
         return Outcome(scene.id, False, motion.reason)
-    mesh = scene.true_mesh()
-    top_z_m = float(load_field(job.fields, scene.id).upper_m[2])
+    if motion.seen is not None and motion.seen != load_seen(job.fields, scene.id):
+        raise DataError(job.motions / scene.id, "was planned from another image than its field; plan it again")
+    mesh, grid = scene.true_mesh(), load_field(job.fields, scene.id)
     try:
         execution = execute(
             motion.trajectory,
@@ -92,7 +94,8 @@ def _execute(job: _Job) -> Outcome:
             job.settings,
             job.seed,
             bound=motion.tracking,
-            unsafe_below_m=top_z_m + float(motion.tracking.error_m(motion.settings.v_max_mps)),
+            unsafe_below_m=float(grid.upper_m[2]) + float(motion.tracking.error_m(motion.settings.v_max_mps)),
+            field=SafetyField.build(grid, motion.settings.delta),
             make_arm=iiwa_for(motion.body, mesh, scene.table_z_m),
         )
     except PlanningError as error:

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from deltasafe.errors import DataError
 from deltasafe.perception.hands import read_rgb
 from deltasafe.progress import Progress, silent
-from deltasafe.scene import FieldSettings, LoggedScene, OccupancyGrid, grid_from_image
-from deltasafe.storage import atomic_folder
+from deltasafe.scene import FieldSettings, LoggedScene, OccupancyGrid, Sighting, grid_from_image
+from deltasafe.storage import atomic_folder, read_json, write_json
 
 if TYPE_CHECKING:
     from deltasafe.perception.ensemble import Ensemble
 
-__all__ = ["load_field", "load_p_occupied", "missed_hand", "write_fields"]
+__all__ = ["load_field", "load_p_occupied", "load_seen", "missed_hand", "write_fields"]
 
 
 def write_fields(
@@ -27,7 +27,7 @@ def write_fields(
     settings: FieldSettings,
     progress: Progress = silent,
 ) -> None:
-    """For each scene `SCENE/p_occupied.npy` (H, W) float32 and `SCENE/grid.npz`; whole or not at all.
+    """For each scene `p_occupied.npy` (H, W) float32, `grid.npz` and, which image it was, `seen.json`; whole or not.
 
     Raises:
         DataError: an image is unreadable or not of its camera's size.
@@ -46,6 +46,7 @@ def write_fields(
             np.save(temporary / scene.id / "p_occupied.npy", p_occupied, allow_pickle=False)
             grid = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, settings)
             grid.save(temporary / scene.id / "grid.npz")
+            write_json(temporary / scene.id / "seen.json", Sighting.of(rgb))
             progress(done, len(scenes), f"looked at {scene.id}")
 
 
@@ -56,6 +57,21 @@ def load_field(folder: str | pathlib.Path, scene_id: str) -> OccupancyGrid:
         DataError: there is none in ``folder``.
     """
     return OccupancyGrid.load(pathlib.Path(folder) / scene_id / "grid.npz")
+
+
+def load_seen(folder: str | pathlib.Path, scene_id: str) -> Sighting:
+    """Which image the field of a scene was made from.
+
+    Raises:
+        DataError: that is not written there.
+    """
+    file = pathlib.Path(folder) / scene_id / "seen.json"
+    try:
+        return Sighting(**read_json(file))
+    except (TypeError, ValueError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(file, f"names no image ({error}); make the occupancy fields again") from error
 
 
 def load_p_occupied(folder: str | pathlib.Path, scene_id: str) -> NDArray[np.float32]:

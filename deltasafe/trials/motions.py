@@ -10,7 +10,7 @@ from deltasafe.planning import MotionSettings, PlannedMotion, plan_motion
 from deltasafe.progress import Progress, silent
 from deltasafe.scene import LoggedScene
 from deltasafe.storage import atomic_folder
-from deltasafe.trials.fields import load_field, load_p_occupied
+from deltasafe.trials.fields import load_field, load_p_occupied, load_seen
 
 __all__ = ["load_motion", "plan_scenes"]
 
@@ -39,7 +39,8 @@ def plan_scenes(
     with atomic_folder(folder) as temporary:
         for index, scene in enumerate(scenes):
             grid = load_field(fields, scene.id)
-            motion = plan_motion(grid, scene.start, scene.goal, scene.table_z_m, settings, seed + index)
+            seen = load_seen(fields, scene.id)
+            motion = plan_motion(grid, scene.start, scene.goal, scene.table_z_m, settings, seed + index, seen=seen)
             motion.save(temporary / scene.id)
             plan_over_image(
                 read_rgb(scene.image_path),

@@ -16,7 +16,7 @@ from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.scene import FieldSettings, OccupancyGrid, load_scenes
 from deltasafe.trials.audit import audit_trajectory
 from deltasafe.trials.executions import execute_scenes, load_outcomes
-from deltasafe.trials.fields import load_field, load_p_occupied, missed_hand, write_fields
+from deltasafe.trials.fields import load_field, load_p_occupied, load_seen, missed_hand, write_fields
 from deltasafe.trials.motions import load_motion, plan_scenes
 from deltasafe.trials.safety_writing import write_safety_report
 from deltasafe.trials.selection import load_selection, select_scenes
@@ -215,3 +215,18 @@ def test_the_arm_stands_beside_a_table_of_any_height():
         assert run.contacts.sum() == 0
         errors.append(run.workspace_error_m.max())
     assert errors[0] == pytest.approx(errors[1], rel=1e-3)
+
+
+def test_which_image_a_motion_was_planned_from_travels_with_it(chain, tmp_path):
+    scenes, root, *_ = chain
+    scene = scenes[0]
+    motion = load_motion(root / "motions", scene.id)
+    assert motion.seen == load_seen(root / "fields", scene.id)
+    fields = tmp_path / "fields"
+    shutil.copytree(root / "fields", fields)
+    shutil.copy(fields / scenes[1].id / "seen.json", fields / scene.id / "seen.json")
+    with pytest.raises(DataError, match="another image than its field"):
+        execute_scenes([scene], fields, root / "motions", tmp_path / "executions", ExecutionSettings(), 0)
+    (fields / scene.id / "seen.json").write_text('{"image_sha256": "short"}')
+    with pytest.raises(DataError, match="make the occupancy fields again"):
+        load_seen(fields, scene.id)
