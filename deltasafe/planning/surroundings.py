@@ -65,7 +65,7 @@ class Surroundings(NamedTuple):
 
 
 def surroundings_of(field: SafetyField, body: ToolBody, margin_m: float) -> tuple[Surroundings, BodyNumbers]:
-    """Field and body as the tests of segments read them."""
+    """Field and body as the tests of segments read them; ``margin_m`` is what a pose keeps from the unsafe set."""
     shaft_m = body.shaft_radius_m if body.shaft_length_m > 0 else NO_SHAFT_M
     numbers = BodyNumbers(
         body.disc_radius_m, body.thickness_m / 2, shaft_m, body.rho_max_m, body.semi_axis_x_m, body.semi_axis_y_m
@@ -73,17 +73,24 @@ def surroundings_of(field: SafetyField, body: ToolBody, margin_m: float) -> tupl
     lattice = field.arrays.lattice
     cell_m = lattice.stride * lattice.voxel_m
     ball_m, ray_m = field.coarse_clearance_m
+    near, above = field.fine_clearance
+    slabs, slab_m = field.slabs(body.thickness_m / 2 + margin_m)
+    groups, cover, first = _grouped(body)
     around = Surroundings(
-        _certificate(ball_m, ray_m, cell_m, *numbers[:3]),
-        *field.fine_clearance,
-        _few(body, lattice),
-        *field.slabs(body.thickness_m / 2 + margin_m),
-        field.arrays.ball,
-        field.arrays.ray,
-        *_grouped(body),
-        lattice,
-        1.0 / cell_m,
-        field.arrays.floor_z_m,
+        certificate=_certificate(ball_m, ray_m, cell_m, *numbers[:3]),
+        near=near,
+        above=above,
+        few=_few(body, lattice),
+        slabs=slabs,
+        slab_m=slab_m,
+        ball=field.arrays.ball,
+        ray=field.arrays.ray,
+        groups=groups,
+        cover=cover,
+        first=first,
+        lattice=lattice,
+        cells_per_m=1.0 / cell_m,
+        floor_z_m=field.arrays.floor_z_m,
     )
     return around, numbers
 
