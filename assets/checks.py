@@ -5,6 +5,7 @@ import pathlib
 import dagster as dg
 
 from assets.config import configurable
+from assets.operation import ON_NEW_ASSET
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -92,6 +93,7 @@ def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResu
 
 @dg.asset_check(
     asset="occupancy_fields",
+    automation_condition=ON_NEW_ASSET,
     additional_ins={"logged_scenes": dg.AssetIn("logged_scenes")},
     description="In no scene would the planner take more than 5 % of the true hand for free.",
 )
@@ -109,6 +111,7 @@ def true_hands_are_seen(occupancy_fields: pathlib.Path, logged_scenes: pathlib.P
 
 @dg.asset_check(
     asset="planned_motions",
+    automation_condition=ON_NEW_ASSET,
     additional_ins={
         "occupancy_fields": dg.AssetIn("occupancy_fields"),
         "logged_scenes": dg.AssetIn("logged_scenes"),
@@ -130,6 +133,7 @@ def audit_finds_no_unsafe_point(
 
 @dg.asset_check(
     asset="executed_motions",
+    automation_condition=ON_NEW_ASSET,
     blocking=True,
     description="Every scene has an outcome, and every recording is complete and unaltered.",
 )
@@ -143,6 +147,7 @@ def recordings_are_intact(executed_motions: pathlib.Path) -> dg.AssetCheckResult
 
 @dg.asset_check(
     asset="safety_report",
+    automation_condition=ON_NEW_ASSET,
     description="Every motion that was executed was completed, touched nothing, and was delta-safe at every pose.",
 )
 def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
@@ -155,6 +160,7 @@ def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
 
 @dg.asset_check(
     asset="safety_report",
+    automation_condition=ON_NEW_ASSET,
     description="The tracking error stayed within gamma(max(v, v_min)) at every pose.",
 )
 def tracking_kept_its_bound(safety_report: pathlib.Path) -> dg.AssetCheckResult:

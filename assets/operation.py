@@ -8,7 +8,7 @@ import dagster as dg
 
 from deltasafe.errors import DeltasafeError
 
-__all__ = ["ALL_CORES", "ON_NEW_DATA", "TWICE_MORE", "fails_for_good"]
+__all__ = ["ALL_CORES", "ON_NEW_ASSET", "ON_NEW_DATA", "TWICE_MORE", "fails_for_good"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -31,6 +31,9 @@ ON_NEW_DATA = (
     & _Condition.all_deps_blocking_checks_passed()
 ).with_label("something that it is made from has changed")
 """A dependency has other data than before (not merely been made again), and every blocking check on the way passed."""
+
+ON_NEW_ASSET = _Condition.eager().with_label("what it checks has been made")
+"""For checks: else they are left out where assets are asked for, and what comes after waits for them for ever."""
 
 
 def fails_for_good(made: Callable[P, T]) -> Callable[P, T]:

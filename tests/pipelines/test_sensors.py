@@ -10,7 +10,7 @@ import time
 import dagster as dg
 import pytest
 
-from assets.operation import ON_NEW_DATA
+from assets.operation import ON_NEW_ASSET, ON_NEW_DATA
 from assets.single_scene import scenes as scene_partitions
 from pipelines.jobs import ALL_MEMBERS
 from pipelines.lost_runs import fail_lost_runs, is_alive
@@ -18,6 +18,7 @@ from pipelines.sensors import all_sensors, look_at_images, look_at_scenes
 from pipelines.watching import digest_of_folder
 from tests.ensembles import write_hands
 
+EVERYTHING = dg.AssetSelection.all() | dg.AssetSelection.all_asset_checks()
 SCENES = pathlib.Path(__file__).parents[2] / "datasets" / "scenes"
 
 
@@ -132,7 +133,11 @@ def chain(version, check_passes=True):
     def motions():
         return dg.MaterializeResult()
 
-    return dg.Definitions([champion, fields, motions], asset_checks=[intact])
+    @dg.asset_check(asset=fields, blocking=True, automation_condition=ON_NEW_ASSET)
+    def audited():
+        return dg.AssetCheckResult(passed=True)
+
+    return dg.Definitions([champion, fields, motions], asset_checks=[intact, audited])
 
 
 def test_other_data_are_followed_in_one_go_and_the_same_data_made_again_are_not():
@@ -141,13 +146,9 @@ def test_other_data_are_followed_in_one_go_and_the_same_data_made_again_are_not(
 
         def requested(defs):
             nonlocal cursor
-            result = dg.evaluate_automation_conditions(defs, instance, dg.AssetSelection.all(), cursor=cursor)
+            result = dg.evaluate_automation_conditions(defs, instance, EVERYTHING, cursor=cursor)
             cursor = result.cursor
-            return sorted(
-                key.to_user_string()
-                for key in (dg.AssetKey("fields"), dg.AssetKey("motions"))
-                if result.get_num_requested(key)
-            )
+            return {r.key.to_user_string() for r in result.results if r.true_subset.size}
 
         def make(defs, *names, ok=True):
             job = defs.resolve_implicit_global_asset_job_def()
@@ -156,19 +157,21 @@ def test_other_data_are_followed_in_one_go_and_the_same_data_made_again_are_not(
 
         first = chain("ensemble-1")
         make(first, "champion", "fields", "motions")
-        assert requested(first) == []
+        assert requested(first) == set()
         make(first, "champion")
-        assert requested(first) == [], "made again, the same ensemble"
+        assert requested(first) == set(), "made again, the same ensemble"
         second = chain("ensemble-2")
         make(second, "champion")
-        assert requested(second) == ["fields", "motions"], "both in one go"
+        assert requested(second) == {"fields", "fields:audited", "motions"}, (
+            "all in one go, with the check between them"
+        )
         make(second, "fields", "motions")
-        assert requested(second) == []
+        assert requested(second) == set()
         make(chain("ensemble-3"), "champion", "fields", "motions")
-        assert requested(second) == [], "one run of the whole chain has done it already"
+        assert requested(second) == set(), "one run of the whole chain has done it already"
         damaged = chain("ensemble-4", check_passes=False)
         make(damaged, "champion", ok=False)
-        assert requested(damaged) == [], "a blocking check failed"
+        assert requested(damaged) == set(), "a blocking check failed"
 
 
 # lost runs -------------------------------------------------------------------------------------------------------
