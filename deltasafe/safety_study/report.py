@@ -54,7 +54,7 @@ def figures_of(study: SafetyStudy) -> dict[str, float]:
                 figures |= {
                     f"{prefix}{kind}_pose_rate_{level}": rate.pose_rate,
                     f"{prefix}{kind}_upper95_{level}": rate.pose_upper95,
-                    f"{prefix}joint_{kind}s_{level}": rate.violated,
+                    f"{prefix}joint_{kind}_motions_{level}": rate.violated,
                     f"{prefix}joint_{kind}_upper95_{level}": rate.upper95,
                     f"{prefix}joint_{kind}_upper95_new_scene_{level}": rate.scenes_upper95,
                 }
