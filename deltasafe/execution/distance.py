@@ -66,11 +66,9 @@ class MeshDistance:
         Args:
             at_most_m: what it surely does not exceed; nothing farther away is looked at.
         """
-        points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
-        beside = np.maximum(np.maximum(self._lowest - points, points - self._highest), 0.0)
-        bounds = np.linalg.norm(beside, axis=1)
-        order = np.argsort(bounds)
-        return float(_points_distance(points[order], bounds[order], *self._mesh, *self._blocks, at_most_m))
+        points = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
+        box = (self._lowest, self._highest)
+        return float(_points_distance(points, *box, *self._mesh, *self._blocks, at_most_m))
 
     def to_tool(self, body: ToolBody, position_m: Array, rotation: Array, at_most_m: float = math.inf) -> float:
         """Distance in metres from the tool at a pose to the mesh's surface, 0 where they touch or cross.
@@ -97,11 +95,13 @@ def _spheres(corners: Array, starts: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 @numba.njit(cache=True)
-def _points_distance(points, bounds, corners, centres, radii, starts, hubs, spans, cells, tops, reaches, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _points_distance(  # type: ignore[no-untyped-def]  # pragma: no cover
+    points, lowest, highest, corners, centres, radii, starts, hubs, spans, cells, tops, reaches, best
+):
     for i in range(len(points)):
-        if bounds[i] >= best:
-            break
         p = (points[i, 0], points[i, 1], points[i, 2])
+        if _to_box(p, lowest, highest) >= best:
+            continue
         for block in range(len(tops)):
             if _gap(p, tops[block]) - reaches[block] >= best:
                 continue
@@ -162,6 +162,14 @@ def _to_triangle(solid, corners, centre, radius, position, rotation, best):  # t
             break
         last = gap
     return min(best, gap)
+
+
+@numba.njit(cache=True)
+def _to_box(p, lowest, highest):  # type: ignore[no-untyped-def]  # pragma: no cover
+    x = max(lowest[0] - p[0], p[0] - highest[0], 0.0)
+    y = max(lowest[1] - p[1], p[1] - highest[1], 0.0)
+    z = max(lowest[2] - p[2], p[2] - highest[2], 0.0)
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @numba.njit(cache=True)
