@@ -209,11 +209,11 @@ def safety_report(
         progress=progress_of(context, every_s=2.0),
     )
     executed = folder / "executed.jpg"
-    film = next((inline_picture(folder / scene.film, 30_000) for scene in report.scenes if scene.film), None)
+    film = next((inline_picture(folder / scene.film, 20_000) for scene in report.scenes if scene.film), None)
     metadata: Metadata = {
         "report": dg.MetadataValue.md((folder / "summary.md").read_text(encoding="utf-8")),
-        "plans": inline_picture(folder / "plans.jpg", 60_000),
-        **({"executed": inline_picture(executed, 60_000)} if executed.is_file() else {}),
+        "plans": inline_picture(folder / "plans.jpg", 35_000),
+        **({"executed": inline_picture(executed, 35_000)} if executed.is_file() else {}),
         **({} if film is None else {"film": film}),
         **report.figures(),
         **folder_facts(folder),

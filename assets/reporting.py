@@ -14,7 +14,7 @@ Metadata: TypeAlias = dict[str, Any]
 
 PAGE_BYTES = 95_000
 """Of a report with all its pictures: a page loads at once, and the event log stays small."""
-_LEAST_BYTES = 6_000
+_LEAST_BYTES = 20_000
 _PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+)\)")
 
 
@@ -36,7 +36,7 @@ def inline_report(path: pathlib.Path, limit_bytes: int = PAGE_BYTES) -> dg.Markd
     text = path.read_text(encoding="utf-8")
     names = [match.group(2) for match in _PICTURE.finditer(text)]
     room = limit_bytes - len(text.encode("utf-8"))
-    shown = names[: max(1, room // (3 * _LEAST_BYTES))]
+    shown = names[: max(1, room // _LEAST_BYTES)]
     share = room // max(1, len(shown))
 
     def inline(match: re.Match[str]) -> str:
@@ -73,16 +73,19 @@ def _inlined(path: pathlib.Path, title: str, limit_bytes: int) -> str:
         with Image.open(path) as opened:
             opened.seek(getattr(opened, "n_frames", 1) // 2)
             picture = opened.convert("RGB")
-        data, kind = _reduced(picture, (limit_bytes - 100) * 3 // 4), "jpeg"
+        data, kind = _reduced(picture, (limit_bytes - 100) * 3 // 4)
     return f"![{title}](data:image/{kind};base64,{base64.b64encode(data).decode()})"
 
 
-def _reduced(picture: Any, limit_bytes: int) -> bytes:
+def _reduced(picture: Any, limit_bytes: int) -> tuple[bytes, str]:
+    """The widest that fits: few colours suit a plot, whose lettering JPEG would blur, and JPEG suits a photograph."""
     for width in (1000, 800, 640, 500, 400, 320, 240, 160):
         smaller = picture.copy()
         smaller.thumbnail((width, 4 * width))
-        stream = io.BytesIO()
-        smaller.save(stream, format="JPEG", quality=72, optimize=True)
-        if stream.tell() <= limit_bytes:
+        plot, photograph = io.BytesIO(), io.BytesIO()
+        smaller.quantize(32, dither=0).save(plot, format="PNG", optimize=True)
+        smaller.save(photograph, format="JPEG", quality=72, optimize=True)
+        data, kind = min((plot.getvalue(), "png"), (photograph.getvalue(), "jpeg"), key=lambda made: len(made[0]))
+        if len(data) <= limit_bytes:
             break
-    return stream.getvalue()
+    return data, kind

@@ -12,7 +12,7 @@ class HandEnsemble(mlflow.pyfunc.PythonModel):
 
         self.ensemble = deltasafe.load_ensemble(context.artifacts["ensemble"])
 
-    def predict(self, context, model_input, params=None):  # type: ignore[no-untyped-def]
+    def predict(self, context, model_input: np.ndarray, params=None):  # type: ignore[no-untyped-def]
         images = model_input["images"] if isinstance(model_input, dict) else model_input
         return np.stack([self.ensemble.p_occupied(image) for image in np.asarray(images)])
 

@@ -111,7 +111,7 @@ def test_no_page_is_heavy(home, demo):
         for key in instance.get_asset_keys():
             event = instance.get_latest_materialization_event(key)
             shown = [str(value.value) for value in event.asset_materialization.metadata.values()]
-            assert sum(map(len, shown)) < 110_000, key.to_user_string()
+            assert sum(map(len, shown)) < 100_000, key.to_user_string()
 
 
 def test_motions_are_those_of_the_ensemble_in_use(folder):
