@@ -65,7 +65,7 @@ def plot_tracking(study: "TrackingStudy", destination: str | pathlib.Path) -> No
     )
     right.set_xlabel("largest excess of a run over the identified bound [mm]")
     right.set_ylabel("share of runs")
-    right.legend(loc="upper left", fontsize=8)
+    right.legend(loc="upper center", fontsize=8)
     for ax in (left, right):
         ax.grid(alpha=0.3)
     with atomic_file(destination) as temporary:
