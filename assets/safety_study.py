@@ -57,7 +57,7 @@ def safety_trials(
     inputs = StudyInputs.gather(folders, ensemble, config.n_scenes)
     batches = store.folder("safety_trials", "batches")
     found = run_study(config.study.settings(), inputs, batches, config.workers, progress_of(context))
-    folder = store.folder("safety_trials", context.run_id[:8])
+    folder = store.folder("safety_trials", context.run.run_id[:8])
     found.save(folder)
     counts = {"executed": int(found.executed.sum()), "trials": len(found.executed), "minutes": found.effort.minutes}
     return dg.Output(folder, metadata={**counts, **folder_facts(folder)})
@@ -71,7 +71,7 @@ def safety_study_report(
     """Rates of violation with exact intervals, clearances, comparisons; failures are listed and filmed."""
     from deltasafe.safety_study import SafetyStudy, write_safety_study
 
-    folder = store.folder("safety_study_report", context.run_id[:8])
+    folder = store.folder("safety_study_report", context.run.run_id[:8])
     figures = write_safety_study(SafetyStudy.load(safety_trials), folder, progress_of(context, every_s=2.0))
     films = [inline_picture(film, 30_000) for film in sorted(folder.glob("*.gif"))[:1]]
     metadata: Metadata = {

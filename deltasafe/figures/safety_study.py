@@ -71,14 +71,16 @@ def plot_clearances(study: SafetyStudy, destination: str | pathlib.Path) -> None
             tool_m = np.sort(study.trials["min_tool_m"][study.of(name, delta) & study.executed])
             if len(tool_m):
                 share = np.arange(1, len(tool_m) + 1) / len(tool_m)
-                ax.step(1000 * tool_m, share, where="post", color=COLOURS[name], lw=1.7, label=_label(study, name))
+                ax.step(1000 * tool_m, share, where="post", color=COLOURS[name], lw=1.7)
         ax.axvline(0, color="#1b1f24", lw=0.8)
         ax.set_title(f"delta = {delta:g}", fontsize=10)
         ax.set(xlabel="smallest distance of the tool to the true hand [mm]", ylim=(0, 1), xlim=(-1, None))
         _clean(ax)
     panels[0].set_ylabel("share of executed motions")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
+    handles = [
+        Line2D([], [], color=COLOURS[name], lw=1.7, label=_label(study, name)) for name in study.settings.contenders
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
     _save(figure, destination)
 
 

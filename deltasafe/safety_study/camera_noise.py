@@ -1,6 +1,5 @@
 """The same scene photographed again: exposure, white balance, noise of the sensor, compression."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +10,8 @@ __all__ = ["expose", "photograph_again"]
 
 def photograph_again(rgb: NDArray[np.uint8], settings: CameraSettings, rng: np.random.Generator) -> NDArray[np.uint8]:
     """(H, W, 3) uint8: the picture as the same camera might have taken it another time, compressed and read again."""
+    import cv2
+
     picture = expose(rgb, settings, rng)
     quality = int(rng.integers(settings.jpeg_quality[0], settings.jpeg_quality[1] + 1))
     _, stored = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])

@@ -14,7 +14,6 @@ Where the picture shows less than 0.5 everywhere, there is nothing to fit, howev
 
 import math
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
@@ -88,6 +87,8 @@ def _sigmas(
     p_occupied: NDArray[np.float32], hand: NDArray[np.bool_], camera: Camera, table_z_m: float, centres: Array
 ) -> Array:
     """(n,) d / 2 for each piece: area of the band around it by the length of the hand's border there."""
+    import cv2
+
     inner = cv2.erode(hand.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1).astype(bool)
     nearest = cKDTree(centres)
     counts = [

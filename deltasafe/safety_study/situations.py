@@ -2,14 +2,12 @@
 
 import dataclasses
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
-from deltasafe.perception.hands import read_rgb
 from deltasafe.safety_study.camera_noise import photograph_again
 from deltasafe.safety_study.settings import SafetyStudySettings, TaskSettings
 from deltasafe.scene import LoggedScene
@@ -53,6 +51,8 @@ def draw_situation(settings: SafetyStudySettings, scenes: int, scene: LoggedScen
     Raises:
         DataError: the image is unreadable or not of its camera's size.
     """
+    from deltasafe.perception.hands import read_rgb
+
     rng = np.random.default_rng([settings.seed, number])
     rgb = read_rgb(scene.image_path)
     if rgb.shape[:2] != (scene.camera.height, scene.camera.width):
@@ -106,6 +106,8 @@ def true_mask(scene: LoggedScene) -> NDArray[np.bool_]:
     Raises:
         DataError: the mask is unreadable, or shows no hand.
     """
+    import cv2
+
     mask = cv2.imdecode(np.fromfile(scene.mask_path, np.uint8), cv2.IMREAD_GRAYSCALE)
     if mask is None or not mask.any():
         raise DataError(scene.mask_path, "is no mask of a hand (255 = hand); restore it")

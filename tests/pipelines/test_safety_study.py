@@ -12,6 +12,7 @@ from PIL import Image
 
 import deltasafe.safety_study
 from assets.safety_study import safety_trials
+from deltasafe.presets import VARIABLE
 from deltasafe.storage import read_json, write_json
 from pipelines import safety_study
 from pipelines.io import FolderPointers
@@ -73,7 +74,8 @@ class Options:
     gamma: tuple[float, float] | None = None
 
 
-def test_figures_are_merged_and_those_of_others_stay(tmp_path):
+def test_figures_are_merged_and_those_of_others_stay(tmp_path, monkeypatch):
+    monkeypatch.delenv(VARIABLE, raising=False)
     folder = tmp_path / "report"
     folder.mkdir()
     (folder / "report.md").write_text("# Report")
