@@ -47,7 +47,7 @@ class Preset:
     execution: ExecutionSettings = dataclasses.field(default_factory=ExecutionSettings)
     comparison: ComparisonSettings = dataclasses.field(default_factory=ComparisonSettings)
     timing: TimingSettings = dataclasses.field(default_factory=TimingSettings)
-    safety_study: SafetyStudySettings = dataclasses.field(default_factory=SafetyStudySettings)
+    safety_study: SafetyStudySettings = dataclasses.field(default_factory=lambda: SafetyStudySettings(motion=_MOTION))
     tracking_study: TrackingStudySettings = dataclasses.field(default_factory=TrackingStudySettings)
     n_scenes: int = 0
     n_films: int = 3
@@ -73,7 +73,9 @@ PRESETS = {
         motion=dataclasses.replace(_MOTION, delta=0.5),
         comparison=ComparisonSettings(n_levels=2, n_runs=3, n_runs_beside=2, n_iterations=500, voxel_m=0.01),
         timing=TimingSettings(counts=(1, 5, 20), n_runs=2, n_iterations=500, voxel_m=0.01),
-        safety_study=SafetyStudySettings(deltas=(0.05, 0.45), n_executions=2, n_bootstrap=100, n_films=1),
+        safety_study=SafetyStudySettings(
+            deltas=(0.05, 0.45), n_executions=2, n_bootstrap=100, n_films=1, motion=_MOTION
+        ),
         tracking_study=TrackingStudySettings(
             n_slope_runs=4, n_bound_runs=7, n_held_out_runs=5, runs_per_batch=4, content=0.7, confidence=0.9
         ),

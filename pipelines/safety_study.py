@@ -8,7 +8,7 @@ from typing import Any
 
 from deltasafe.errors import DeltasafeError
 from deltasafe.presets import VARIABLE
-from deltasafe.storage import atomic_folder, read_json, write_json
+from deltasafe.storage import atomic_folder, read_json
 from pipelines.home import prepare_home
 from pipelines.lost_runs import fail_lost_runs
 
@@ -31,9 +31,7 @@ def main() -> int:
     parser.add_argument(
         "--ensemble", type=pathlib.Path, metavar="DIR", help="a frozen ensemble; the one in use by default"
     )
-    parser.add_argument(
-        "--gamma", type=float, nargs=2, metavar=("GAMMA0_M", "GAMMA1_S"), help="tracking bound; the paper's by default"
-    )
+    parser.add_argument("--gamma", type=float, nargs=2, metavar=("GAMMA0_M", "GAMMA1_S"), help="another tracking bound")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one a core by default")
     parser.add_argument("--film", type=int, metavar="TRIAL", help="only film this trial of the last run")
     options = parser.parse_args()
@@ -48,7 +46,7 @@ def main() -> int:
     if options.executions is not None:
         study["n_executions"] = options.executions
     if options.gamma:
-        study["tracking"] = dict(zip(("gamma0_m", "gamma1_s"), options.gamma, strict=True))
+        study["motion"] = dict(zip(("gamma0_m", "gamma1_s"), options.gamma, strict=True))
     trials: dict[str, Any] = {"workers": options.workers, "study": study}
     if options.scenes:
         trials["scenes"] = [str(folder.expanduser().resolve()) for folder in options.scenes]
@@ -100,13 +98,9 @@ def _record(options: argparse.Namespace, figures: dict[str, float], folder: path
     """Merge into the record: figures that others put there stay; the report lies beside it, pictures reduced."""
     from PIL import Image
 
-    from pipelines.provenance import commit, machine
+    from pipelines.records import merge_part
 
     destination: pathlib.Path = options.record
-    earlier = read_json(destination) if destination.is_file() else {}
-    parts = earlier.get("parts", {})
-    replaced = parts.get("safety_study", {}).get("figures", {})
-    kept = {name: value for name, value in earlier.get("figures", {}).items() if name not in replaced}
     study = read_json(folder / "study.json")
     preset = os.environ.get(VARIABLE) or "default"
     given = [] if preset == "default" else [f"{VARIABLE}={preset}"]
@@ -114,27 +108,14 @@ def _record(options: argparse.Namespace, figures: dict[str, float], folder: path
     given += ["--scenes", *(folder.name for folder in options.scenes)] if options.scenes else []
     given += ["--executions", str(options.executions)] if options.executions is not None else []
     given += ["--gamma", *(f"{value:g}" for value in options.gamma)] if options.gamma else []
-    part = {
-        "figures": figures,
-        "command": " ".join(given),
-        "commit": commit(),
-        "seeds": {"situations": study["settings"]["seed"]},
-        "machine": machine(),
-        "ensemble": pathlib.Path(study["ensemble"]).name,
-        "settings": study["settings"],
-    }
-    parts = {**parts, "safety_study": part}
-    write_json(
+    merge_part(
         destination,
-        {
-            **earlier,
-            "figures": kept | figures,
-            "command": "; ".join(each["command"] for _, each in sorted(parts.items())),
-            "commit": part["commit"],
-            "machine": part["machine"],
-            "seeds": {name: each["seeds"] for name, each in parts.items()},
-            "parts": parts,
-        },
+        "safety_study",
+        figures,
+        command=" ".join(given),
+        seeds={"situations": study["settings"]["seed"]},
+        ensemble=pathlib.Path(study["ensemble"]).name,
+        settings=study["settings"],
     )
     with atomic_folder(destination.parent / "safety_study") as temporary:
         (temporary / "report.md").write_text((folder / "report.md").read_text(encoding="utf-8"), encoding="utf-8")

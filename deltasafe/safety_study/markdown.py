@@ -223,7 +223,7 @@ def _failures(study: SafetyStudy, films: Mapping[int, str]) -> str:
 
 
 def _meaning(study: SafetyStudy) -> str:
-    tracking = study.settings.tracking
+    tracking = study.settings.motion.tracking
     return f"""\
 * *Delta-safe* is pointwise: every point of the tool, at every instant, has P(occupied) <= delta. A *pose* counts as
   violating as soon as one point does, so that the rate of poses bounds that of points from above. It bounds neither the

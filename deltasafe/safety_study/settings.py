@@ -5,7 +5,7 @@ import math
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution.simulate import ExecutionSettings
-from deltasafe.planning import MotionSettings, TrackingBound
+from deltasafe.planning import MotionSettings
 from deltasafe.scene import FieldSettings
 
 __all__ = ["CONTENDERS", "LABELS", "MADE_BY", "PARAMETRIC", "CameraSettings", "SafetyStudySettings", "TaskSettings"]
@@ -111,7 +111,7 @@ class SafetyStudySettings:
         n_obstacles: ellipsoids that the compared methods are told of.
         n_bootstrap: resamples of scenes behind an interval.
         n_films: failures that are filmed.
-        camera, task, field, motion, execution, tracking: of every trial; ``motion.delta`` is replaced by each level.
+        camera, task, field, motion, execution: of every trial; ``motion.delta`` is replaced by each level.
     """
 
     deltas: tuple[float, ...] = (0.01, 0.05, 0.2)
@@ -127,7 +127,6 @@ class SafetyStudySettings:
     field: FieldSettings = dataclasses.field(default_factory=FieldSettings)
     motion: MotionSettings = dataclasses.field(default_factory=lambda: MotionSettings(cost="area"))
     execution: ExecutionSettings = dataclasses.field(default_factory=ExecutionSettings)
-    tracking: TrackingBound = dataclasses.field(default_factory=TrackingBound)
 
     def __post_init__(self) -> None:
         if not self.deltas or list(self.deltas) != sorted(set(self.deltas)):

@@ -217,7 +217,7 @@ class _Table:
         """The path of our planner; the one without a schedule drives the same."""
         motion = level_settings(self.settings.motion, delta)
         seed = self.situation.plan_seed
-        return plan(start, goal, self.field(single, delta), motion, seed, self.body, self.settings.tracking)
+        return plan(start, goal, self.field(single, delta), motion, seed, self.body, self.settings.motion.tracking)
 
     def trial(self, place: int) -> tuple[dict[str, Any], Execution | None]:
         """Its row and, if it was executed, the recording."""
@@ -259,24 +259,24 @@ class _Table:
         if contender in PARAMETRIC:
             seed = self.situation.plan_seed
             return parametric_motion(
-                contender, self.obstacles, self.view, start, goal, motion, seed, self.body, settings.tracking
+                contender, self.obstacles, self.view, start, goal, motion, seed, self.body, settings.motion.tracking
             )
         single = contender == "single_member"
         timed = top_speed_motion if contender == "top_speed" else scheduled_motion
         result = self.plan(single, delta, start, goal)
-        return timed(result, self.field(single, delta), motion, self.body, settings.tracking)
+        return timed(result, self.field(single, delta), motion, self.body, settings.motion.tracking)
 
     def _execute(self, trajectory: Trajectory) -> Execution:
         settings, scene = self.settings, self.scene
         mesh = scene.true_mesh()
-        fastest_m = float(settings.tracking.error_m(settings.motion.v_max_mps))
+        fastest_m = float(settings.motion.tracking.error_m(settings.motion.v_max_mps))
         return execute(
             trajectory,
             mesh,
             self.body,
             settings.execution,
             self.situation.arm_seed,
-            bound=settings.tracking,
+            bound=settings.motion.tracking,
             unsafe_below_m=float(self.grid(False).upper_m[2]) + fastest_m,
             make_arm=iiwa_for(self.body, mesh, scene.table_z_m),
         )
@@ -286,7 +286,7 @@ class _Table:
     ) -> Mapping[str, Any]:
         settings = self.settings
         v_min_mps = settings.motion.v_min_mps
-        verdict = judge(execution, grid, self.body, delta, settings.tracking, min_speed_mps=v_min_mps)
+        verdict = judge(execution, grid, self.body, delta, settings.motion.tracking, min_speed_mps=v_min_mps)
         judged = execution.judged
         touching = execution.tool_to_hand_m[judged] <= 0
         unsafe = np.zeros(verdict.poses, np.bool_)
