@@ -21,6 +21,11 @@ TWICE_MORE = dg.RetryPolicy(max_retries=2, delay=10.0, backoff=dg.Backoff.EXPONE
 
 _Condition = dg.AutomationCondition
 
+# a dependency that is asked for at once brings its checks along, and the run itself blocks if they fail
+_BLOCKING_CHECKS_PASSED = _Condition.all_deps_match(
+    _Condition.all_checks_match(_Condition.check_passed(), blocking_only=True) | _Condition.will_be_requested()
+).with_label("blocking checks passed, or come first in the same run")
+
 ON_NEW_DATA = (
     _Condition.any_deps_match(
         (_Condition.data_version_changed() & ~_Condition.executed_with_root_target()) | _Condition.will_be_requested()
@@ -28,7 +33,7 @@ ON_NEW_DATA = (
     & ~_Condition.any_deps_missing()
     & ~_Condition.any_deps_in_progress()
     & ~_Condition.in_progress()
-    & _Condition.all_deps_blocking_checks_passed()
+    & _BLOCKING_CHECKS_PASSED
 ).with_label("something that it is made from has changed")
 """A dependency has other data than before (not merely been made again), and every blocking check on the way passed."""
 

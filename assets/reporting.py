@@ -83,7 +83,7 @@ def _reduced(picture: Any, limit_bytes: int) -> tuple[bytes, str]:
         smaller = picture.copy()
         smaller.thumbnail((width, 4 * width))
         plot, photograph = io.BytesIO(), io.BytesIO()
-        smaller.quantize(32, dither=0).save(plot, format="PNG", optimize=True)
+        smaller.quantize(48, method=1, dither=0).save(plot, format="PNG", optimize=True)
         smaller.save(photograph, format="JPEG", quality=72, optimize=True)
         data, kind = min((plot.getvalue(), "png"), (photograph.getvalue(), "jpeg"), key=lambda made: len(made[0]))
         if len(data) <= limit_bytes:

@@ -134,10 +134,10 @@ def chain(version, check_passes=True):
         return dg.MaterializeResult()
 
     @dg.asset_check(asset=fields, blocking=True, automation_condition=ON_NEW_ASSET)
-    def audited():
+    def zealous_audit():
         return dg.AssetCheckResult(passed=True)
 
-    return dg.Definitions([champion, fields, motions], asset_checks=[intact, audited])
+    return dg.Definitions([champion, fields, motions], asset_checks=[intact, zealous_audit])
 
 
 def test_other_data_are_followed_in_one_go_and_the_same_data_made_again_are_not():
@@ -162,7 +162,7 @@ def test_other_data_are_followed_in_one_go_and_the_same_data_made_again_are_not(
         assert requested(first) == set(), "made again, the same ensemble"
         second = chain("ensemble-2")
         make(second, "champion")
-        assert requested(second) == {"fields", "fields:audited", "motions"}, (
+        assert requested(second) == {"fields", "fields:zealous_audit", "motions"}, (
             "all in one go, with the check between them"
         )
         make(second, "fields", "motions")
