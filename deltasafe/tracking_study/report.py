@@ -2,7 +2,6 @@
 
 import pathlib
 
-from deltasafe.figures.tracking_study import plot_tracking
 from deltasafe.planning.tracking import TrackingBound
 from deltasafe.storage import atomic_folder, write_json
 from deltasafe.tracking_study.bound import Coverage, coverage_of
@@ -13,6 +12,9 @@ __all__ = ["write_tracking_report"]
 
 def write_tracking_report(study: TrackingStudy, folder: str | pathlib.Path) -> dict[str, float]:
     """Write `report.md`, `tracking.png` and `figures.json` as a whole; returns the figures."""
+    
+    from deltasafe.figures.tracking_study import plot_tracking
+
     figures = study.figures()
     with atomic_folder(folder) as temporary:
         plot_tracking(study, temporary / "tracking.png")
