@@ -12,7 +12,7 @@ __all__ = ["write_tracking_report"]
 
 def write_tracking_report(study: TrackingStudy, folder: str | pathlib.Path) -> dict[str, float]:
     """Write `report.md`, `tracking.png` and `figures.json` as a whole; returns the figures."""
-    
+
     from deltasafe.figures.tracking_study import plot_tracking
 
     figures = study.figures()
