@@ -1,6 +1,7 @@
 """From fifty labelled images to a frozen ensemble."""
 
 import pathlib
+from typing import TYPE_CHECKING
 
 import dagster as dg
 
@@ -11,6 +12,9 @@ from assets.progress import progress_of
 from assets.promotion import NOT_WORSE, not_worse, verdict_table
 from assets.reporting import folder_facts, inline_jpeg, inline_picture, inline_report, page_link
 from deltasafe import presets
+
+if TYPE_CHECKING:
+    from deltasafe.perception.hands import HandSet
 
 PRESET = presets.active()
 GROUP = "perception"
@@ -164,15 +168,11 @@ def calibration_report(
 ) -> dg.Output[pathlib.Path]:
     """May the mean of the members be called a probability? Judged on all pixels of the test images."""
     from deltasafe.perception.ensemble_evaluation import evaluate_members
-    from deltasafe.perception.hands import HandSet, check_disjoint
+    from deltasafe.perception.hands import HandSet
     from deltasafe.perception.member import Member
     from deltasafe.storage import sha256_of_file
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
-    calibration = None
-    if config.calibration_folder:
-        calibration = HandSet.load(config.calibration_folder)
-        check_disjoint(HandSet.load(raw_hands), calibration)
     folder, test = store.folder("calibration_report", context.run_id[:8]), HandSet.load(test_hands)
     report = evaluate_members(
         trained,
@@ -183,12 +183,22 @@ def calibration_report(
         planning_delta=PRESET.motion.delta,
         device=config.device,
         progress=progress_of(context),
-        calibration=calibration,
+        calibration=_calibration_set(config.calibration_folder, raw_hands),
     )
     page = tracker.report(trained[0].ensemble_identity, report.figures(), folder, {"test hands": test.digest})
     metadata = {"report": inline_report(folder / "report.md"), **report.figures(), **page_link(page)}
     version = dg.DataVersion(sha256_of_file(folder / "report.json")[:16])
     return dg.Output(folder, metadata={**metadata, **folder_facts(folder)}, data_version=version)
+
+
+def _calibration_set(folder: str, training: pathlib.Path) -> "HandSet | None":
+    from deltasafe.perception.hands import HandSet, check_disjoint
+
+    if not folder:
+        return None
+    calibration = HandSet.load(folder)
+    check_disjoint(HandSet.load(training), calibration)
+    return calibration
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"pytorch", "onnx"}, code_version="2", retry_policy=TWICE_MORE)
