@@ -12,8 +12,8 @@ from typing import Any
 
 import torch
 
-from deltasafe.storage import read_json, write_json
 from pipelines.provenance import commit, machine
+from pipelines.records import merge_part
 
 __all__ = ["conclude", "foreign_cores", "interleaved", "matmul_peak", "median_ms", "parser", "say"]
 
@@ -85,27 +85,12 @@ def conclude(record: dict[str, Any], destination: pathlib.Path | None, command: 
             that this benchmark gave earlier are replaced, those of others stay.
         command: what measured it, with its options.
     """
-    origin = {"command": command, "commit": commit(), "machine": machine()}
-    record = {**origin, "seeds": {}, "load_1min": os.getloadavg()[0], **_without_nan(record)}
-    say(f"{record['machine']}; load {record['load_1min']:.1f}; commit {record['commit']}")
+    record = {"seeds": {}, "load_1min": os.getloadavg()[0], **_without_nan(record)}
+    say(f"{machine()}; load {record['load_1min']:.1f}; commit {commit()}")
     if destination is None:
         return
     name = command.rpartition("-m benchmarks.")[2].split(maxsplit=1)[0]
-    earlier = read_json(destination) if destination.is_file() else {}
-    benchmarks = earlier.get("benchmarks", {})
-    replaced = benchmarks.get(name, {}).get("figures", {})
-    kept = {key: value for key, value in earlier.get("figures", {}).items() if key not in replaced}
-    benchmarks = {**benchmarks, name: record}
-    merged = {
-        **earlier,
-        "figures": kept | record["figures"],
-        "command": "; ".join(each["command"] for _, each in sorted(benchmarks.items())),
-        "seeds": {key: each["seeds"] for key, each in benchmarks.items()},
-        "commit": origin["commit"],
-        "machine": origin["machine"],
-        "benchmarks": benchmarks,
-    }
-    write_json(destination, merged)
+    merge_part(destination, name, below="benchmarks", command=command, **record)
     say(f"written: {destination}")
 
 

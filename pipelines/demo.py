@@ -101,11 +101,9 @@ def _seeds(root: pathlib.Path) -> dict[str, int]:
 
 
 def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
-    import dagster as dg
+    from pipelines.running import made  # dagster is loaded only once the run is about to begin
 
-    from pipelines.io import FolderPointers
-
-    return FolderPointers(home=str(root)).folder(dg.AssetKey(asset))
+    return made(root, asset)
 
 
 def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:

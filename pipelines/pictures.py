@@ -1,15 +1,30 @@
-"""Pictures for the README: what a recorded run made, in sizes that a page can show."""
+"""Pictures of what a recorded run made, in sizes that a page can show."""
 
 import pathlib
 import shutil
 
-__all__ = ["record_pictures"]
+__all__ = ["record_pictures", "record_report"]
+
+
+def record_report(folder: pathlib.Path, destination: pathlib.Path) -> None:
+    """Copy `report.md` with its films, and its plots in few colours; ``destination`` is replaced."""
+    from PIL import Image
+
+    from deltasafe.storage import atomic_folder
+
+    with atomic_folder(destination) as temporary:
+        for file in (folder / "report.md", *sorted(folder.glob("*.gif"))):
+            shutil.copyfile(file, temporary / file.name)
+        for plot in sorted(folder.glob("*.png")):
+            with Image.open(plot) as opened:
+                reduced = opened.convert("RGB").quantize(128, dither=Image.Dither.NONE)
+            reduced.save(temporary / plot.name, optimize=True)
 
 
 def record_pictures(
     augmented: pathlib.Path, calibration: pathlib.Path, safety: pathlib.Path, destination: pathlib.Path
 ) -> None:
-    """Copy the contact sheet, the reliability diagram, and plan and film of the closest execution.
+    """For the README: copy the contact sheet, the reliability diagram, and plan and film of the closest execution.
 
     Args:
         augmented, calibration, safety: folders of the run's augmented set and of its two reports.

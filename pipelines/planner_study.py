@@ -4,12 +4,11 @@ import argparse
 import os
 import pathlib
 import sys
-from typing import Any
 
 from deltasafe.presets import VARIABLE
-from deltasafe.storage import atomic_folder, read_json, write_json
+from deltasafe.storage import read_json, write_json
 from pipelines.home import prepare_home
-from pipelines.lost_runs import fail_lost_runs
+from pipelines.pictures import record_report
 
 __all__ = ["main"]
 
@@ -32,37 +31,21 @@ def main() -> int:
 
     import dagster as dg
 
-    config: dict[str, Any] = {
-        "loggers": {"console": {"config": {}}},
-        "ops": {name: {"config": {"workers": options.workers}} for name in ("planner_costs", "planner_times")},
-    }
-    with dg.DagsterInstance.get() as instance:
-        fail_lost_runs(instance)
-        if not dg.execute_job(dg.reconstructable(planner_study), instance=instance, run_config=config).success:
-            print(
-                "\nThe run failed. `make planner-study` goes on with what is finished; `make ui` shows the failed step."
-            )
-            return 1
-    folder = _report(root)
+    from pipelines.running import made, succeeded
+
+    steps = {name: {"workers": options.workers} for name in ("planner_costs", "planner_times")}
+    if not succeeded(dg.reconstructable(planner_study), steps, "`make planner-study`"):
+        return 1
+    folder = made(root, "planner_report")
     figures = read_json(folder / "figures.json")
     _print_summary(folder, figures)
     if options.record:
-        _record(options.record, figures, folder, root)
+        _record(options.record, figures, folder)
     return 0
 
 
-def _report(root: pathlib.Path) -> pathlib.Path:
-    import dagster as dg
-
-    from pipelines.io import FolderPointers
-
-    return FolderPointers(home=str(root)).folder(dg.AssetKey("planner_report"))
-
-
-def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathlib.Path, root: pathlib.Path) -> None:
+def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathlib.Path) -> None:
     """Figures with what made them, and beside them the report with its pictures in sizes that a page can show."""
-    from PIL import Image
-
     from pipelines.provenance import commit, machine
 
     costs, times = (read_json(folder / f"{name}_runs" / "study.json")["settings"] for name in ("fig5", "fig6"))
@@ -81,12 +64,7 @@ def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathli
             "machine": machine(),
         },
     )
-    with atomic_folder(destination.parent / "planner") as temporary:
-        (temporary / "report.md").write_text((folder / "report.md").read_text(encoding="utf-8"), encoding="utf-8")
-        for picture in sorted(folder.glob("*.png")):
-            with Image.open(picture) as opened:
-                reduced = opened.convert("RGB").quantize(128, dither=Image.Dither.NONE)
-            reduced.save(temporary / picture.name, optimize=True)
+    record_report(folder, destination.parent / "planner")
 
 
 def _print_summary(folder: pathlib.Path, figures: dict[str, float]) -> None:

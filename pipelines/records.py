@@ -17,19 +17,20 @@ def merge_part(
     *,
     command: str,
     seeds: Mapping[str, Any],
+    below: str = "parts",
     **about: Any,
 ) -> None:
     """Merge the figures of one command into a JSON record.
 
     Args:
-        destination: ``figures`` of all commands, and below ``parts`` each one's own record.
+        destination: ``figures`` of all commands, and under the key ``below`` each one's own record.
         name: of the part; figures that it gave earlier are replaced, those of others stay.
         command: what made them, with its options; seeds: what it was seeded with.
         about: whatever else explains the part.
     """
     destination = pathlib.Path(destination)
     earlier = read_json(destination) if destination.is_file() else {}
-    parts = earlier.get("parts", {})
+    parts = earlier.get(below, {})
     replaced = parts.get(name, {}).get("figures", {})
     kept = {key: value for key, value in earlier.get("figures", {}).items() if key not in replaced}
     part = {
@@ -50,6 +51,6 @@ def merge_part(
             "seeds": {key: each["seeds"] for key, each in parts.items()},
             "commit": part["commit"],
             "machine": part["machine"],
-            "parts": parts,
+            below: parts,
         },
     )

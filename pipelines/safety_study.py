@@ -8,9 +8,9 @@ from typing import Any
 
 from deltasafe.errors import DeltasafeError
 from deltasafe.presets import VARIABLE
-from deltasafe.storage import atomic_folder, read_json
+from deltasafe.storage import read_json
 from pipelines.home import prepare_home
-from pipelines.lost_runs import fail_lost_runs
+from pipelines.pictures import record_report
 
 __all__ = ["main"]
 
@@ -42,6 +42,8 @@ def main() -> int:
 
     import dagster as dg
 
+    from pipelines.running import made, succeeded
+
     study: dict[str, Any] = {}
     if options.executions is not None:
         study["n_executions"] = options.executions
@@ -52,15 +54,9 @@ def main() -> int:
         trials["scenes"] = [str(folder.expanduser().resolve()) for folder in options.scenes]
     if options.ensemble:
         trials["ensemble"] = str(options.ensemble.expanduser().resolve())
-    config = {"loggers": {"console": {"config": {}}}, "ops": {"safety_trials": {"config": trials}}}
-    with dg.DagsterInstance.get() as instance:
-        fail_lost_runs(instance)
-        if not dg.execute_job(dg.reconstructable(safety_study), instance=instance, run_config=config).success:
-            print(
-                "\nThe run failed. `make safety-study` goes on with what is finished; `make ui` shows the failed step."
-            )
-            return 1
-    folder = _made(root, "safety_study_report")
+    if not succeeded(dg.reconstructable(safety_study), {"safety_trials": trials}, "`make safety-study`"):
+        return 1
+    folder = made(root, "safety_study_report")
     figures = read_json(folder / "figures.json")
     _print_summary(folder, figures)
     if options.record:
@@ -68,20 +64,13 @@ def main() -> int:
     return 0
 
 
-def _made(root: pathlib.Path, asset: str) -> pathlib.Path:
-    import dagster as dg
-
-    from pipelines.io import FolderPointers
-
-    return FolderPointers(home=str(root)).folder(dg.AssetKey(asset))
-
-
 def _film(root: pathlib.Path, trial: int) -> int:
     from deltasafe.execution import save_film
     from deltasafe.safety_study import SafetyStudy, replay
+    from pipelines.running import made
 
     try:
-        study = SafetyStudy.load(_made(root, "safety_trials"))
+        study = SafetyStudy.load(made(root, "safety_trials"))
         eyes = study.inputs.eyes
         assert eyes is not None
         scene, execution = replay(study.settings, study.inputs.scenes, eyes, trial)
@@ -96,8 +85,6 @@ def _film(root: pathlib.Path, trial: int) -> int:
 
 def _record(options: argparse.Namespace, figures: dict[str, float], folder: pathlib.Path) -> None:
     """Merge into the record: figures that others put there stay; the report lies beside it, pictures reduced."""
-    from PIL import Image
-
     from pipelines.records import merge_part
 
     destination: pathlib.Path = options.record
@@ -117,14 +104,7 @@ def _record(options: argparse.Namespace, figures: dict[str, float], folder: path
         ensemble=pathlib.Path(study["ensemble"]).name,
         settings=study["settings"],
     )
-    with atomic_folder(destination.parent / "safety_study") as temporary:
-        (temporary / "report.md").write_text((folder / "report.md").read_text(encoding="utf-8"), encoding="utf-8")
-        for picture in sorted(folder.glob("*.png")):
-            with Image.open(picture) as opened:
-                reduced = opened.convert("RGB").quantize(128, dither=Image.Dither.NONE)
-            reduced.save(temporary / picture.name, optimize=True)
-        for film in sorted(folder.glob("*.gif")):
-            (temporary / film.name).write_bytes(film.read_bytes())
+    record_report(folder, destination.parent / "safety_study")
 
 
 def _print_summary(folder: pathlib.Path, figures: dict[str, float]) -> None:

@@ -8,7 +8,6 @@ import sys
 from deltasafe.presets import VARIABLE
 from deltasafe.storage import atomic_folder, read_json
 from pipelines.home import prepare_home
-from pipelines.lost_runs import fail_lost_runs
 from pipelines.records import merge_part
 
 __all__ = ["main"]
@@ -32,16 +31,12 @@ def main() -> int:
 
     import dagster as dg
 
-    config = {
-        "loggers": {"console": {"config": {}}},
-        "ops": {"tracking_bound": {"config": {"workers": options.workers}}},
-    }
-    with dg.DagsterInstance.get() as instance:
-        fail_lost_runs(instance)
-        if not dg.execute_job(dg.reconstructable(tracking_study), instance=instance, run_config=config).success:
-            print("\nThe run failed. The same command goes on with what is finished; `make ui` shows the failed step.")
-            return 1
-    folder = _made(root)
+    from pipelines.running import made, succeeded
+
+    steps = {"tracking_bound": {"workers": options.workers}}
+    if not succeeded(dg.reconstructable(tracking_study), steps, "The same command"):
+        return 1
+    folder = made(root, "tracking_bound")
     report = folder.with_name(f"{folder.name}-report")
     figures = read_json(report / "figures.json")
     for name, value in figures.items():
@@ -50,14 +45,6 @@ def main() -> int:
     if options.record:
         _record(options.record, figures, folder, report)
     return 0
-
-
-def _made(root: pathlib.Path) -> pathlib.Path:
-    import dagster as dg
-
-    from pipelines.io import FolderPointers
-
-    return FolderPointers(home=str(root)).folder(dg.AssetKey("tracking_bound"))
 
 
 def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathlib.Path, report: pathlib.Path) -> None:
