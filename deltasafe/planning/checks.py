@@ -114,9 +114,10 @@ def segment_test(
     settings = settings or CheckSettings()
     if not (math.isfinite(margin_m) and 0 <= margin_m <= 0.02):
         raise SettingsError(f"margin_m must be between 0 and 0.02 m, got {margin_m}")
-    sampled = settings.method == "sampled"
+    method = METHODS.index(settings.method)
+    n_samples = settings.n_samples if settings.method == "sampled" else 0
     between_m = 0.0 if settings.method == "continuous" else settings.delta_p_m / 2
-    around, numbers = surroundings_of(field, body, margin_m + between_m)
+    around, numbers = surroundings_of(field, body, margin_m + between_m if _looks_first(method, n_samples) else None)
     return SegmentTest(
         around,
         numbers,
@@ -124,12 +125,12 @@ def segment_test(
             field,
             body,
             margin_m + settings.delta_p_m / 2,
-            settings.n_samples if sampled else 0,
+            n_samples,
             settings.redraw_samples,
             seed,
         ),
         CheckNumbers(
-            METHODS.index(settings.method),
+            method,
             float(margin_m),
             settings.delta_p_m,
             settings.resolution_m,
@@ -190,13 +191,13 @@ def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyp
     """``exact`` and ``sampled``: poses at most Delta_p apart, both ends included, with margin for the way between."""
     steps = math.ceil(_motion(body.rho_max_m, start, end) / numbers.delta_p_m)
     need_m = numbers.margin_m + numbers.delta_p_m / 2
+    looks = _looks_first(numbers.method, pool.n_samples)
     key, keyed = np.uint64(0), False
     for step in range(steps + 1):
         x, y, z, yaw = _at(start, end, step / max(steps, 1))
         if numbers.use_certificate and is_certified(around, x, y, z, need_m):
             continue
-        looked = numbers.method == 1 or pool.n_samples >= MANY_SAMPLES
-        if looked and level_clearance(around, body, x, y, z, yaw, need_m, True) >= need_m:
+        if looks and level_clearance(around, body, x, y, z, yaw, need_m, True) >= need_m:
             continue
         if numbers.method == 1:
             if not is_certified(around, x, y, z, need_m):
@@ -207,6 +208,12 @@ def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyp
             if not samples_are_free(around.lattice, pool, x, y, z, yaw, mixed(key, step + 1)):
                 return False
     return True
+
+
+@kernel
+def _looks_first(method, n_samples):  # type: ignore[no-untyped-def]
+    """Whether clearances finer than the certificate are looked at: not where few samples are as quick."""
+    return method != 0 or n_samples >= MANY_SAMPLES
 
 
 @kernel

@@ -64,8 +64,13 @@ class Surroundings(NamedTuple):
     floor_z_m: float
 
 
-def surroundings_of(field: SafetyField, body: ToolBody, margin_m: float) -> tuple[Surroundings, BodyNumbers]:
-    """Field and body as the tests of segments read them; ``margin_m`` is what a pose keeps from the unsafe set."""
+def surroundings_of(field: SafetyField, body: ToolBody, margin_m: float | None) -> tuple[Surroundings, BodyNumbers]:
+    """Field and body as the tests of segments read them.
+
+    Args:
+        margin_m: what a pose keeps from the unsafe set; None for a test that looks at nothing finer than the
+            certificate, and has no finer clearances made for it.
+    """
     shaft_m = body.shaft_radius_m if body.shaft_length_m > 0 else NO_SHAFT_M
     numbers = BodyNumbers(
         body.disc_radius_m, body.thickness_m / 2, shaft_m, body.rho_max_m, body.semi_axis_x_m, body.semi_axis_y_m
@@ -73,8 +78,9 @@ def surroundings_of(field: SafetyField, body: ToolBody, margin_m: float) -> tupl
     lattice = field.arrays.lattice
     cell_m = lattice.stride * lattice.voxel_m
     ball_m, ray_m = field.coarse_clearance_m
-    near, above = field.fine_clearance
-    slabs, slab_m = field.slabs(body.thickness_m / 2 + margin_m)
+    nothing = np.empty((0, 0, 0), np.uint8)
+    near, above = (nothing, nothing) if margin_m is None else field.fine_clearance
+    slabs, slab_m = (nothing, 0.0) if margin_m is None else field.slabs(body.thickness_m / 2 + margin_m)
     groups, cover, first = _grouped(body)
     around = Surroundings(
         certificate=_certificate(ball_m, ray_m, cell_m, *numbers[:3]),
