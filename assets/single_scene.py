@@ -4,22 +4,16 @@ import pathlib
 
 import dagster as dg
 
-from assets.config import configurable
 from assets.interfaces import Store
+from assets.motion import ExecutionConfig, FieldConfig, PlannerConfig
 from assets.operation import ALL_CORES, TWICE_MORE, fails_for_good
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture
-from deltasafe import presets
 
-PRESET = presets.active()
 GROUP = "single_scene"
 OWNERS = ["team:motion"]
 
 scenes = dg.DynamicPartitionsDefinition(name="scenes")
-
-FieldConfig = configurable(PRESET.field)
-PlannerConfig = configurable(PRESET.motion)
-ExecutionConfig = configurable(PRESET.execution)
 
 
 class SceneConfig(dg.Config):

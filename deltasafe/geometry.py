@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["Pose", "PosePath", "Trajectory", "wrap_to_pi"]
+__all__ = ["Pose", "PosePath", "Trajectory", "wrap_to_pi", "yaw_of"]
 
 Array = NDArray[np.float64]
 
@@ -16,6 +16,12 @@ Array = NDArray[np.float64]
 def wrap_to_pi(angle_rad: Array | float) -> Array:
     """Angle in [-pi, pi) that is equal to ``angle_rad`` modulo a full turn."""
     return np.asarray((np.asarray(angle_rad) + math.pi) % (2 * math.pi) - math.pi)
+
+
+def yaw_of(quaternions: Array) -> Array:
+    """Turn about z in [-pi, pi] of rotations (..., 4) given as x, y, z, w."""
+    x, y, z, w = np.moveaxis(np.asarray(quaternions), -1, 0)
+    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,6 +12,7 @@ from deltasafe.execution.arm import ArmState
 from deltasafe.execution.impedance import TaskReference, pose_error
 from deltasafe.execution.kinematics import JointLimits
 from deltasafe.execution.settings import ExecutionSettings
+from deltasafe.geometry import yaw_of
 from deltasafe.planning import CheckSettings, body_clearance_m, segment_test
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.field import SafetyField
@@ -123,11 +124,10 @@ class Monitor:
         """The measured tool in the field, which takes it upright: what its tilt moves at most is taken off."""
         if self._test is None:
             return ""
-        x, y, z, w = state.tool_quaternion.tolist()
-        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        x, y, _, _ = state.tool_quaternion.tolist()
         tilt = 2 * math.asin(min(1.0, math.hypot(x, y)))
         lever_m = max(self._body.rho_max_m, self._top_z_m - float(state.tool_position_m[2]))
-        pose = np.array([[*state.tool_position_m.tolist(), yaw]])
+        pose = np.append(state.tool_position_m, yaw_of(state.tool_quaternion))[None]
         clearance = float(body_clearance_m(self._test, pose)[0]) - tilt * lever_m
         return f"the tool is {-clearance * 1e3:.2f} mm inside what is not known to be free" if clearance < 0 else ""
 

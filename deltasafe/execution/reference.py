@@ -10,7 +10,7 @@ from deltasafe.execution.arm import Arm
 from deltasafe.execution.impedance import TaskReference
 from deltasafe.execution.recording import PHASES
 from deltasafe.execution.settings import ExecutionSettings
-from deltasafe.geometry import Trajectory
+from deltasafe.geometry import Trajectory, yaw_of
 
 __all__ = ["Reference"]
 
@@ -51,8 +51,7 @@ class Reference:
         self._require_feasible(arm, unsafe_below_m)
         # the arm may hold the tool turned by half turns, under which it looks the same
         arm.reset(self.joints[0])
-        x, y, z, w = arm.state().tool_quaternion
-        turned = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) - self.poses[0, 3]
+        turned = float(yaw_of(arm.state().tool_quaternion)) - self.poses[0, 3]
         self.half_turns_rad = math.pi * round(turned / math.pi)
         half = (self.poses[:, 3] + self.half_turns_rad) / 2
         self._quaternions = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=1)

@@ -19,7 +19,7 @@ from deltasafe.planning.body import ToolBody
 from deltasafe.planning.tracking import TrackingBound
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["OccupancyField", "SafetyVerdict", "SpeedBin", "body_points", "judge"]
+__all__ = ["OccupancyField", "SafetyVerdict", "SpeedBin", "body_points", "judge", "largest_p_occupied"]
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ def judge(
     if body != execution.body:
         raise SettingsError(f"the motion was executed with {execution.body}, not with {body}")
     judged = execution.judged
-    p_occupied = _p_occupied(execution, grid, body_points(body, spacing_m))
+    p_occupied = largest_p_occupied(execution, grid, body, spacing_m)
     safe = p_occupied <= delta
     worst = int(np.argmax(np.where(judged, p_occupied, -np.inf)))
     aside = ~judged
@@ -171,8 +171,9 @@ def body_points(body: ToolBody, spacing_m: float = 0.0025) -> Array:
     )
 
 
-def _p_occupied(execution: Execution, grid: OccupancyField, points: Array) -> Array:
-    """(N,) largest p_occupied of the tool's points at each measured pose."""
+def largest_p_occupied(execution: Execution, grid: OccupancyField, body: ToolBody, spacing_m: float = 0.0025) -> Array:
+    """(N,) largest p_occupied of the tool's points, ``spacing_m`` apart, at each measured pose."""
+    points = body_points(body, spacing_m)
     if isinstance(grid, OccupancyGrid):
         return np.asarray(grid.most_on(points, execution.tool_rotations, execution.tool_positions_m), dtype=np.float64)
     poses = zip(execution.tool_rotations, execution.tool_positions_m, strict=True)

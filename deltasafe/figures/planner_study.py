@@ -5,17 +5,15 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
+from deltasafe.figures.panels import clean, new_figure, save
 from deltasafe.planner_study.comparison import SCENES, Comparison
 from deltasafe.planner_study.contenders import MAIN, contenders
 from deltasafe.planner_study.paper import paper_curves
 from deltasafe.planner_study.scenes import PAPER_UNIT_M
 from deltasafe.planner_study.timing import Timing
-from deltasafe.storage import atomic_file
 
 __all__ = ["plot_cost", "plot_references", "plot_time"]
 
@@ -34,7 +32,7 @@ LEVEL = r"$\tilde d,\ 2\sigma$  [0.1 m]"
 
 def plot_cost(found: Comparison, destination: str | pathlib.Path) -> None:
     """Normalised path cost over the uncertainty: a row a scene; here (both line costs), and as the paper printed it."""
-    figure = _figure(11.5, 6.6)
+    figure = new_figure(11.5, 6.6)
     axes = figure.subplots(2, 3, sharex=True, sharey="row")
     labels = {one.name: one.label for one in contenders(found.settings)}
     for row, scene in zip(axes, SCENES, strict=True):
@@ -50,15 +48,15 @@ def plot_cost(found: Comparison, destination: str | pathlib.Path) -> None:
     for ax in axes[1]:
         ax.set_xlabel(LEVEL)
     for ax in axes.flat:
-        _clean(ax)
+        clean(ax)
         ax.set_xlim(0, found.settings.largest_level_m / PAPER_UNIT_M)
     axes[0, 0].legend(frameon=False, fontsize=8.5, loc="upper left")
-    _save(figure, destination)
+    save(figure, destination)
 
 
 def plot_references(found: Comparison, destination: str | pathlib.Path) -> None:
     """What explains the difference: rise over the cost at no uncertainty, with the references beside the methods."""
-    figure = _figure(10.0, 4.2)
+    figure = new_figure(10.0, 4.2)
     labels = {one.name: one.label for one in contenders(found.settings)}
     levels = np.array(found.settings.levels_m) / PAPER_UNIT_M
     for ax, scene in zip(figure.subplots(1, 2, sharey=True), SCENES, strict=True):
@@ -70,15 +68,15 @@ def plot_references(found: Comparison, destination: str | pathlib.Path) -> None:
             ax.fill_between(levels, rise - spread, rise + spread, color=COLOURS[name], alpha=0.15, lw=0)
         ax.set_title(f"{scene.capitalize()} scene", fontsize=10)
         ax.set(xlabel=LEVEL, xlim=(0, levels[-1]))
-        _clean(ax)
+        clean(ax)
     figure.axes[0].set_ylabel("cost above that at no uncertainty [%]")
     figure.axes[0].legend(frameon=False, fontsize=8.5, loc="upper left")
-    _save(figure, destination)
+    save(figure, destination)
 
 
 def plot_time(found: Timing, destination: str | pathlib.Path) -> None:
     """Time of a search over the number of obstacles: every formula at every pose, culled, and as printed."""
-    figure = _figure(11.5, 4.4)
+    figure = new_figure(11.5, 4.4)
     plain, culled, paper = figure.subplots(1, 3, sharex=True)
     plain.sharey(culled)
     counts = found.settings.counts
@@ -103,7 +101,7 @@ def plot_time(found: Timing, destination: str | pathlib.Path) -> None:
         ax.set(xlabel="number of obstacles", yscale="log", xlim=(counts[0], counts[-1]))
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.set_xticks([counts[0], *(n for n in (20, 40, 60, 80, 100) if counts[0] < n <= counts[-1])])
-        _clean(ax)
+        clean(ax)
     red, blue = COLOURS["ours"], COLOURS["max_probability"]
     many, few_samples = found.settings.n_samples, found.settings.few_samples
     handles = [
@@ -117,7 +115,7 @@ def plot_time(found: Timing, destination: str | pathlib.Path) -> None:
         Line2D([], [], color=blue, lw=1.8, ls="--", label="Max. prob. approx., numeric search"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=8.5)
-    _save(figure, destination)
+    save(figure, destination)
 
 
 def _curve(ax: Axes, found: Comparison, scene: str, name: str, colour: str, **options: Any) -> None:
@@ -125,20 +123,3 @@ def _curve(ax: Axes, found: Comparison, scene: str, name: str, colour: str, **op
     mean, error = found.normalised_cost(scene, name)
     ax.plot(levels, mean, color=colour, lw=1.8, **options)
     ax.fill_between(levels, mean - error, mean + error, color=colour, alpha=0.18, lw=0)
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=130, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _clean(ax: Axes) -> None:
-    ax.grid(color="#e1e4e8", lw=0.6)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
-
-
-def _save(figure: Figure, destination: str | pathlib.Path) -> None:
-    with atomic_file(destination) as temporary:
-        figure.savefig(temporary)

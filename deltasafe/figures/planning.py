@@ -4,21 +4,29 @@ import pathlib
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from deltasafe.errors import SettingsError
+from deltasafe.figures.over_image import (
+    CLEAR,
+    INK,
+    LIMIT,
+    SIGNAL,
+    draw_level,
+    draw_speed,
+    finish_image,
+    finish_plots,
+    image_and_plots,
+    mark_ends,
+)
+from deltasafe.figures.panels import save
 from deltasafe.planning import PlannedMotion, ToolBody
 from deltasafe.scene import Camera
-from deltasafe.storage import atomic_file
 
 __all__ = ["body_outlines", "plan_over_image"]
 
 Array = NDArray[np.float64]
-INK, SIGNAL, LIMIT, CLEAR = "#1b1f24", "#0a7d6c", "#d1495b", "#3366aa"
 
 
 def plan_over_image(
@@ -49,17 +57,8 @@ def plan_over_image(
     Raises:
         SettingsError: images and camera differ in size.
     """
-    if rgb.shape != (camera.height, camera.width, 3) or p_occupied_image.shape != rgb.shape[:2]:
-        raise SettingsError(
-            f"image {rgb.shape} and probabilities {p_occupied_image.shape} must have the camera's size "
-            f"{(camera.height, camera.width)}"
-        )
-    figure = Figure(figsize=(12.6, 5.9), dpi=130, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.5, 1.0))
-    _draw_image(figure, figure.add_subplot(grid[:, 0]), rgb, p_occupied_image, camera, motion, body, delta)
-    axes = [figure.add_subplot(grid[0, 1])]
-    axes += [figure.add_subplot(grid[row, 1], sharex=axes[0]) for row in (1, 2)]
+    figure, image, axes = image_and_plots(rgb, p_occupied_image, camera)
+    _draw_image(figure, image, p_occupied_image, camera, motion, body, delta)
     if motion.profile is None:
         for ax in axes:
             ax.set_axis_off()
@@ -68,31 +67,23 @@ def plan_over_image(
         )
     else:
         _draw_profile(axes, motion, table_z_m)
-    with atomic_file(destination) as temporary:
-        figure.savefig(temporary)
+    save(figure, destination)
 
 
 def _draw_image(
     figure: Figure,
     ax: Axes,
-    rgb: NDArray[np.uint8],
     p_occupied_image: NDArray[np.float32],
     camera: Camera,
     motion: PlannedMotion,
     body: ToolBody,
     delta: float,
 ) -> None:
-    veil = np.zeros((*rgb.shape[:2], 4))
+    veil = np.zeros((*p_occupied_image.shape, 4))
     veil[..., :3] = (0.82, 0.29, 0.36)
     veil[..., 3] = 0.45 * p_occupied_image
-    extent = (0.0, camera.width, camera.height, 0.0)
-    ax.imshow(rgb, extent=extent)
-    ax.imshow(veil, extent=extent)
-    rows, columns = np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5
-    if p_occupied_image.min() <= delta < p_occupied_image.max():
-        ax.contour(columns, rows, p_occupied_image, levels=[delta], colors=["white"], linewidths=2.6)
-        ax.contour(columns, rows, p_occupied_image, levels=[delta], colors=[LIMIT], linewidths=1.3)
-    handles = [Line2D([], [], color=LIMIT, lw=1.6, label=f"P(occupied) = {delta:g}")]
+    ax.imshow(veil, extent=(0.0, camera.width, camera.height, 0.0))
+    handles = [draw_level(ax, p_occupied_image, delta)]
     path = motion.result.path
     if path is not None:
         shown = motion.profile.poses if motion.profile is not None else path.poses
@@ -103,22 +94,13 @@ def _draw_image(
             ax.plot(*edge.T, color=INK, lw=0.8, alpha=0.75)
         ax.plot(*uv.T, color="white", lw=5.0, solid_capstyle="round")
         if motion.profile is not None:
-            speed = 1000 * motion.profile.speed_mps
-            pieces = np.stack([uv[:-1], uv[1:]], axis=1)
-            lines = LineCollection(list(pieces), cmap="viridis", linewidths=3.2, capstyle="round")
-            lines.set_array((speed[:-1] + speed[1:]) / 2)
-            lines.set_clim(0, 1000 * motion.settings.v_max_mps)
-            ax.add_collection(lines)
-            bar = ax.inset_axes((0.15, -0.055, 0.7, 0.022))
-            figure.colorbar(lines, cax=bar, orientation="horizontal").set_label("speed along the path [mm/s]")
+            most_mps, style = motion.settings.v_max_mps, {"linewidths": 3.2, "capstyle": "round"}
+            draw_speed(figure, ax, uv, motion.profile.speed_mps, most_mps, "speed along the path", **style)
         else:
             ax.plot(*uv.T, color=LIMIT, lw=2.0, ls="--")
-        for label, point, marker in (("start", uv[0], "o"), ("goal", uv[-1], "s")):
-            ax.plot(*point, marker, ms=9, mfc="white", mec=INK, mew=1.8, ls="none")
-            handles.append(Line2D([], [], marker=marker, ms=8, mfc="white", mec=INK, mew=1.6, ls="none", label=label))
+        handles += mark_ends(ax, uv)
         handles.append(Line2D([], [], color=INK, lw=1.0, label="outline of the tool"))
-    ax.legend(handles=handles, loc="upper left", ncols=2, fontsize=8, framealpha=0.9)
-    ax.set(xlim=(0, camera.width), ylim=(camera.height, 0), xticks=[], yticks=[])
+    finish_image(ax, handles, camera)
 
 
 def _draw_profile(axes: list[Axes], motion: PlannedMotion, table_z_m: float) -> None:
@@ -140,15 +122,7 @@ def _draw_profile(axes: list[Axes], motion: PlannedMotion, table_z_m: float) -> 
     speed.plot(way, 1000 * profile.speed_mps, color=SIGNAL, lw=1.8, label="scheduled speed")
     speed.axhline(1000 * settings.v_min_mps, color=INK, lw=0.8, ls=":", label=r"smallest speed of the plan")
     speed.set(ylabel="speed [mm/s]", xlabel="way along the path [mm]", ylim=(0, 1080 * settings.v_max_mps))
-    for ax in axes:
-        ax.margins(x=0.01)
-        ax.grid(color="#d8dbe0", lw=0.6)
-        ax.set_axisbelow(True)
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.set_ylim(top=1.3 * ax.get_ylim()[1])  # a strip for the legend, clear of the curves
-        ax.legend(fontsize=7.5, frameon=False, loc="upper center", ncols=3, handlelength=1.6, borderaxespad=0.2)
-    for ax in axes[:2]:
-        ax.tick_params(labelbottom=False)
+    finish_plots(axes)
     duration = motion.trajectory.duration_s if motion.trajectory is not None else 0.0
     height.set_title(
         f"{duration:.1f} s for {way[-1]:.0f} mm, least clearance {1000 * profile.clearance_m.min():.1f} mm",

@@ -4,14 +4,11 @@ import pathlib
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from deltasafe.figures.panels import clean, new_figure, save
 from deltasafe.safety_study.evidence import Rate, by_speed, cell
-from deltasafe.safety_study.settings import LABELS
 from deltasafe.safety_study.study import SafetyStudy
-from deltasafe.storage import atomic_file
 
 __all__ = ["plot_clearances", "plot_rates", "plot_speed"]
 
@@ -29,7 +26,7 @@ FLOOR = 6e-4
 
 def plot_rates(study: SafetyStudy, destination: str | pathlib.Path) -> None:
     """Share of motions with a violation, exact 95 % intervals, by delta and contender; delta itself as a dash."""
-    figure = _figure(11.5, 5.2)
+    figure = new_figure(11.5, 5.2)
     model, reality = figure.subplots(1, 2, sharey=True)
     deltas, width = study.settings.deltas, 0.8 / len(study.settings.contenders)
     for ax, kind in ((model, "model"), (reality, "reality")):
@@ -46,12 +43,12 @@ def plot_rates(study: SafetyStudy, destination: str | pathlib.Path) -> None:
         ax.minorticks_off()
         ax.set_xticks(range(len(deltas)), [f"delta = {delta:g}" for delta in deltas])
         ax.set_xlim(-0.6, len(deltas) - 0.4)
-        _clean(ax)
+        clean(ax)
     model.set_title("Beyond delta in the field that was used", fontsize=10)
     reality.set_title("The tool touches or crosses the true hand", fontsize=10)
     model.set_ylabel("motions with at least one such pose")
     handles = [
-        Line2D([], [], color=COLOURS[name], marker="o", ms=5, lw=1.6, label=_label(study, name))
+        Line2D([], [], color=COLOURS[name], marker="o", ms=5, lw=1.6, label=study.label(name))
         for name in study.settings.contenders
     ]
     handles += [
@@ -59,12 +56,12 @@ def plot_rates(study: SafetyStudy, destination: str | pathlib.Path) -> None:
         Line2D([], [], color="#1b1f24", marker="o", mfc="white", ms=5, ls="none", label="none seen"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=8.5)
-    _save(figure, destination)
+    save(figure, destination)
 
 
 def plot_clearances(study: SafetyStudy, destination: str | pathlib.Path) -> None:
     """Share of motions whose smallest distance to the true hand is below x: a panel for each delta."""
-    figure = _figure(11.5, 4.3)
+    figure = new_figure(11.5, 4.3)
     panels = np.atleast_1d(figure.subplots(1, len(study.settings.deltas), sharey=True, sharex=True))
     for ax, delta in zip(panels, study.settings.deltas, strict=True):
         for name in study.settings.contenders:
@@ -75,18 +72,18 @@ def plot_clearances(study: SafetyStudy, destination: str | pathlib.Path) -> None
         ax.axvline(0, color="#1b1f24", lw=0.8)
         ax.set_title(f"delta = {delta:g}", fontsize=10)
         ax.set(xlabel="smallest distance of the tool to the true hand [mm]", ylim=(0, 1), xlim=(-1, None))
-        _clean(ax)
+        clean(ax)
     panels[0].set_ylabel("share of executed motions")
     handles = [
-        Line2D([], [], color=COLOURS[name], lw=1.7, label=_label(study, name)) for name in study.settings.contenders
+        Line2D([], [], color=COLOURS[name], lw=1.7, label=study.label(name)) for name in study.settings.contenders
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
-    _save(figure, destination)
+    save(figure, destination)
 
 
 def plot_speed(study: SafetyStudy, destination: str | pathlib.Path) -> None:
     """Smallest clearance by speed, ours with and without the schedule, and how often each speed was driven."""
-    figure = _figure(11.5, 4.3)
+    figure = new_figure(11.5, 4.3)
     panels = np.atleast_1d(figure.subplots(1, len(study.settings.deltas), sharey=True, sharex=True))
     for ax, delta in zip(panels, study.settings.deltas, strict=True):
         for offset, name in ((-0.2, "ours"), (0.2, "top_speed")):
@@ -105,11 +102,11 @@ def plot_speed(study: SafetyStudy, destination: str | pathlib.Path) -> None:
         ax.set_title(f"delta = {delta:g}", fontsize=10)
         ax.set_xlabel("reference speed [mm/s]")
         ax.margins(y=0.1)
-        _clean(ax)
+        clean(ax)
     panels[0].set_ylabel("smallest distance to the true hand [mm]\n(above: share of poses)")
-    handles = [Line2D([], [], color=COLOURS[name], lw=6, label=_label(study, name)) for name in ("ours", "top_speed")]
+    handles = [Line2D([], [], color=COLOURS[name], lw=6, label=study.label(name)) for name in ("ours", "top_speed")]
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=8.5)
-    _save(figure, destination)
+    save(figure, destination)
 
 
 def _interval(ax: Axes, x: float, rate: Rate, colour: str) -> None:
@@ -118,24 +115,3 @@ def _interval(ax: Axes, x: float, rate: Rate, colour: str) -> None:
     ax.plot([x - 0.03, x + 0.03], [high, high], color=colour, lw=1.8)
     share = rate.violated / rate.n
     ax.plot(x, max(share, FLOOR), "o", ms=5, color=colour, mfc=colour if rate.violated else "white", zorder=3)
-
-
-def _label(study: SafetyStudy, name: str) -> str:
-    return LABELS[name].format(members=study.inputs.n_members)
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=130, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _clean(ax: Axes) -> None:
-    ax.grid(color="#e1e4e8", lw=0.6)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
-
-
-def _save(figure: Figure, destination: str | pathlib.Path) -> None:
-    with atomic_file(destination) as temporary:
-        figure.savefig(temporary)

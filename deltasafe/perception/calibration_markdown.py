@@ -4,9 +4,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from deltasafe.markdown import percent, plus_minus, table
 from deltasafe.perception.calibration_report import CalibrationReport
 from deltasafe.perception.ensemble_size import ensemble_size_table
-from deltasafe.perception.markdown import percent, plus_minus, table
 from deltasafe.perception.paper_results import AUGMENTATION_RESULTS, ENSEMBLE_SIZE_RESULTS
 from deltasafe.perception.safety_markdown import calibration_section, delta_section, missed_hand_section
 

@@ -9,9 +9,9 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.calibration import Calibration, DeltaSupport, HeldOutDelta, smallest_supported_delta
 from deltasafe.perception.calibration_error import CalibrationErrors
 from deltasafe.perception.metrics import ImageScores, MeanAndSd, Scores
-from deltasafe.perception.records import from_json
 from deltasafe.perception.reliability import DELTA_GRID, Curve
 from deltasafe.perception.risk_control import RiskControl
+from deltasafe.records import from_json
 from deltasafe.storage import read_json
 
 __all__ = [

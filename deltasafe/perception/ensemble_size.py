@@ -8,8 +8,8 @@ import dataclasses
 
 import numpy as np
 
+from deltasafe.markdown import table
 from deltasafe.perception.calibration_report import CalibrationReport
-from deltasafe.perception.markdown import table
 from deltasafe.perception.metrics import Scores, bootstrap_scores, percentile_interval
 from deltasafe.perception.paper_results import ENSEMBLE_SIZE_RESULTS
 from deltasafe.perception.reliability import bootstrap_weights

@@ -16,10 +16,10 @@ from deltasafe.errors import SettingsError
 from deltasafe.perception.artifact import load_ensemble, verify_artifact
 from deltasafe.perception.hands import HandSet
 from deltasafe.perception.metrics import ImageScores, bootstrap_scores, score_image
-from deltasafe.perception.records import from_json
 from deltasafe.perception.reliability import bootstrap_weights
 from deltasafe.perception.settings import PromotionSettings
 from deltasafe.progress import Progress, silent
+from deltasafe.records import from_json
 from deltasafe.storage import read_json, write_json
 
 __all__ = ["Loss", "Verdict", "compare_ensembles", "judge_challenger", "scores_on"]

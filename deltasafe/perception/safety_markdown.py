@@ -1,7 +1,7 @@
 """The part of a calibration report that safety leans on: delta, missed hands, and whether it is sure enough."""
 
+from deltasafe.markdown import percent, table
 from deltasafe.perception.calibration_report import CalibrationReport, Judgement
-from deltasafe.perception.markdown import percent, table
 from deltasafe.perception.reliability import DELTA_GRID
 
 __all__ = ["calibration_section", "delta_section", "missed_hand_section"]

@@ -201,7 +201,7 @@ class Planner:
     def _searched(self, deadline_s: float) -> RrtStar:
         settings = self.settings
         if self._search is None:
-            self._bounds = _bounds(self._field, settings, self._start, self._goals)
+            self._bounds = search_bounds(self._field, settings, self._start, self._goals)
             self._search = RrtStar(
                 self._test,
                 line_cost(
@@ -307,7 +307,8 @@ def plan(
     return Planner(start, [goal], field, settings, seed, body, tracking).plan()[0]
 
 
-def _bounds(field: SafetyField, settings: PlannerSettings, start: Array, goals: Array) -> tuple[Array, Array]:
+def search_bounds(field: SafetyField, settings: PlannerSettings, start: Array, goals: Array) -> tuple[Array, Array]:
+    """Lower and upper poses (4,) of a search: the view, the heights and turns of the settings, all ends."""
     turn = settings.yaw_range_rad
     low_z, high_z = field.arrays.floor_z_m + settings.z_min_above_table_m, field.top_z_m
     lower = np.array([*field.grid.origin_m[:2], low_z, start[3] - turn])

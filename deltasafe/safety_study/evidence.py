@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.safety_study.intervals import clopper_pearson, mean_share_upper, scene_bootstrap, upper_bound
+from deltasafe.intervals import clopper_pearson, mean_share_upper, scene_bootstrap, upper_bound
 from deltasafe.safety_study.paths import OUTCOMES
 from deltasafe.safety_study.settings import CONTENDERS, PARAMETRIC
 from deltasafe.safety_study.study import SafetyStudy

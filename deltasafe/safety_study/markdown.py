@@ -1,10 +1,11 @@
 """The report of the safety study as Markdown."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from deltasafe.safety_study.evidence import Rate, by_speed, cell, failures, pairing, step_of_pose_m
+from deltasafe.markdown import table
+from deltasafe.safety_study.evidence import Cell, Rate, by_speed, cell, failures, pairing, step_of_pose_m
 from deltasafe.safety_study.settings import CONTENDERS, LABELS, PARAMETRIC
 from deltasafe.safety_study.study import SafetyStudy
 
@@ -75,50 +76,47 @@ def _opening(study: SafetyStudy) -> str:
 
 
 def _violations(study: SafetyStudy, kind: str) -> str:
-    lines = [
-        "| contender | delta | motions | with a violation | 95 % interval | upper 95 % | poses | upper 95 % of poses "
-        "| upper 95 %, new scene |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for name in study.settings.contenders:
-        for delta in study.settings.deltas_of(name):
-            found = cell(study, name, delta)
-            rate: Rate = found.model if kind == "model" else found.reality
-            if not rate.n:
-                lines.append(f"| {_label(study, name)} | {delta:g} | 0 | - | - | - | - | - | - |")
-                continue
-            lines.append(
-                f"| {_label(study, name)} | {delta:g} | {rate.n} | {rate.violated} | "
-                f"{_percent(rate.interval[0])} to {_percent(rate.interval[1])} | {_percent(rate.upper95)} | "
-                f"{_percent(rate.pose_rate)} | {_percent(rate.pose_upper95)} | "
-                f"{_percent(rate.scenes_upper95)} ({rate.scenes_violated} of {rate.scenes}) |"
-            )
-    return "\n".join(lines)
+    rows = []
+    for name, delta, found in _cells(study):
+        rate: Rate = found.model if kind == "model" else found.reality
+        if not rate.n:
+            rows.append([study.label(name), f"{delta:g}", "0", *["-"] * 6])
+            continue
+        rows.append(
+            [
+                *(study.label(name), f"{delta:g}", f"{rate.n}", f"{rate.violated}"),
+                f"{_percent(rate.interval[0])} to {_percent(rate.interval[1])}",
+                *(_percent(rate.upper95), _percent(rate.pose_rate), _percent(rate.pose_upper95)),
+                f"{_percent(rate.scenes_upper95)} ({rate.scenes_violated} of {rate.scenes})",
+            ]
+        )
+    head = "contender", "delta", "motions", "with a violation", "95 % interval", "upper 95 %", "poses"
+    return table([*head, "upper 95 % of poses", "upper 95 %, new scene"], rows)
 
 
 def _clearances(study: SafetyStudy) -> str:
-    lines = [
-        "| contender | delta | tool: least | 5 % | median | arm: least | motions with a contact | stopped | duration "
-        "| length |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+    rows = [
+        [
+            *(study.label(name), f"{delta:g}", _mm(found.min_tool_m), *map(_mm, found.quantiles_tool_m[:2])),
+            *(_mm(found.min_arm_m), f"{found.contacts}", f"{found.stopped}"),
+            *(f"{_number(found.duration_s)} s", f"{_number(100 * found.length_m)} cm"),
+        ]
+        for name, delta, found in _cells(study)
     ]
+    head = "contender", "delta", "tool: least", "5 %", "median", "arm: least", "motions with a contact", "stopped"
+    return table([*head, "duration", "length"], rows)
+
+
+def _cells(study: SafetyStudy) -> Iterator[tuple[str, float, Cell]]:
+    """Every contender at each of its levels."""
     for name in study.settings.contenders:
         for delta in study.settings.deltas_of(name):
-            found = cell(study, name, delta)
-            lines.append(
-                f"| {_label(study, name)} | {delta:g} | {_mm(found.min_tool_m)} | {_mm(found.quantiles_tool_m[0])} | "
-                f"{_mm(found.quantiles_tool_m[1])} | {_mm(found.min_arm_m)} | {found.contacts} | {found.stopped} | "
-                f"{_number(found.duration_s)} s | {_number(100 * found.length_m)} cm |"
-            )
-    return "\n".join(lines)
+            yield name, delta, cell(study, name, delta)
 
 
 def _ensemble(study: SafetyStudy) -> str:
-    lines = [
-        "| delta | misses more of the hand than delta | worst miss | situations both moved in "
-        "| only the single member touched | only the ensemble | sign test |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    head = "delta", "misses more of the hand than delta", "worst miss", "situations both moved in"
+    rows = []
     for delta in study.settings.deltas:
         pair = pairing(study, "ours", "single_member", delta)
         single, whole = (study.of(name, delta) for name in ("single_member", "ours"))
@@ -126,47 +124,35 @@ def _ensemble(study: SafetyStudy) -> str:
         ours_there = whole & np.isin(study.trials["situation"], study.trials["situation"][single])
         count = f"{int((miss[single] > delta).sum())} single, {int((miss[ours_there] > delta).sum())} ensemble"
         worst = f"{_percent(miss[single].max(initial=0))} single, {_percent(miss[ours_there].max(initial=0))} ensemble"
-        lines.append(
-            f"| {delta:g} | {count} of {int(single.sum())} | {worst} | {pair.n} | {pair.only_second} "
-            f"| {pair.only_first} | p = {pair.p_value:.2g} |"
-        )
+        touched = f"{pair.n}", f"{pair.only_second}", f"{pair.only_first}", f"p = {pair.p_value:.2g}"
+        rows.append([f"{delta:g}", f"{count} of {int(single.sum())}", worst, *touched])
     note = (
         "*Missed* is what of the true hand's pixels the picture shows with p_occupied <= delta; a planner may drive "
         "there. The single member is drawn anew in each situation; its probability is as the network gives it."
     )
-    return "\n".join(lines) + "\n\n" + note
+    return table([*head, "only the single member touched", "only the ensemble", "sign test"], rows) + "\n\n" + note
 
 
 def _pairs(study: SafetyStudy, other: str) -> str:
-    lines = [
-        f"| ours against: {LABELS[other].lower()} | both moved | only ours touched | only the other | sign test "
-        "| its clearance less ours (median) | its duration by ours |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    head = f"ours against: {LABELS[other].lower()}", "both moved", "only ours touched", "only the other", "sign test"
+    rows = []
     for delta in study.settings.deltas_of(other):
         pair = pairing(study, "ours", other, delta)
         ratio = f"{pair.faster:.2f}" if np.isfinite(pair.faster) else "-"
-        lines.append(
-            f"| delta = {delta:g} | {pair.n} | {pair.only_first} | {pair.only_second} | p = {pair.p_value:.2g} "
-            f"| {_mm(pair.shorter_m)} | {ratio} |"
-        )
-    return "\n".join(lines)
+        touched = f"{pair.n}", f"{pair.only_first}", f"{pair.only_second}", f"p = {pair.p_value:.2g}"
+        rows.append([f"delta = {delta:g}", *touched, _mm(pair.shorter_m), ratio])
+    return table([*head, "its clearance less ours (median)", "its duration by ours"], rows)
 
 
 def _speeds(study: SafetyStudy) -> str:
-    lines = [
-        "| reference speed | delta | poses | beyond delta | touching | least clearance |",
-        "|---|---|---|---|---|---|",
-    ]
+    rows = []
     for delta in study.settings.deltas:
         for one in by_speed(study, "ours", delta):
             if one.poses:
                 high = f" to {1000 * one.to_mps:.0f}" if np.isfinite(one.to_mps) else " and more"
-                lines.append(
-                    f"| {1000 * one.from_mps:.0f}{high} mm/s | {delta:g} | {one.poses} | {one.unsafe} | {one.touching} "
-                    f"| {_mm(one.min_tool_m)} |"
-                )
-    return "\n".join(lines)
+                counts = f"{one.poses}", f"{one.unsafe}", f"{one.touching}"
+                rows.append([f"{1000 * one.from_mps:.0f}{high} mm/s", f"{delta:g}", *counts, _mm(one.min_tool_m)])
+    return table(["reference speed", "delta", "poses", "beyond delta", "touching", "least clearance"], rows)
 
 
 def _parametric_note(study: SafetyStudy) -> str:
@@ -182,40 +168,35 @@ def _parametric_note(study: SafetyStudy) -> str:
 
 
 def _refusals(study: SafetyStudy) -> str:
-    reasons = sorted(
-        {r for n in study.settings.contenders for d in study.settings.deltas for r in cell(study, n, d).refusals}
-    )
+    reasons = sorted({reason for _, _, found in _cells(study) for reason in found.refusals})
     if not reasons:
         return "None."
-    lines = ["| contender | delta | trials | " + " | ".join(reasons) + " |", "|---|---|---|" + "---|" * len(reasons)]
-    for name in study.settings.contenders:
-        for delta in study.settings.deltas_of(name):
-            found = cell(study, name, delta)
-            counts = " | ".join(str(found.refusals.get(reason, 0)) for reason in reasons)
-            lines.append(f"| {_label(study, name)} | {delta:g} | {found.trials} | {counts} |")
-    return "\n".join(lines)
+    rows = []
+    for name, delta, found in _cells(study):
+        counts = [f"{found.refusals.get(reason, 0)}" for reason in reasons]
+        rows.append([study.label(name), f"{delta:g}", f"{found.trials}", *counts])
+    return table(["contender", "delta", "trials", *reasons], rows)
 
 
 def _failures(study: SafetyStudy, films: Mapping[int, str]) -> str:
     numbers: Sequence[int] = [int(number) for number in failures(study)]
     if not numbers:
         return "None: of no executed motion was a pose beyond delta or in touch, and none was stopped."
-    lines = [
-        f"{len(numbers)} in all. Trial n is made again by `python -m pipelines.safety_study --film n` (same options).",
-        "",
-        "| trial | scene | contender | delta | poses beyond delta | poses touching | contacts | stopped | tool | arm |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
     listed = sorted(numbers, key=lambda number: (number not in films, study.trials["contender"][number] > 0, number))
+    rows = []
     for number in listed[:MOST_LISTED]:
         row = {name: column[number] for name, column in study.trials.items()}
         shown = f"[{number}]({films[number]})" if number in films else str(number)
-        lines.append(
-            f"| {shown} | {study.inputs.names[row['scene']]} | {_label(study, CONTENDERS[row['contender']])} "
-            f"| {row['delta']:g} | {row['unsafe_poses']} of {row['poses']} | {row['touching_poses']} "
-            f"| {row['contacts']} | {'yes' if row['stopped'] else 'no'} | {_mm(row['min_tool_m'])} "
-            f"| {_mm(row['min_arm_m'])} |"
-        )
+        who = study.inputs.names[row["scene"]], study.label(CONTENDERS[row["contender"]]), f"{row['delta']:g}"
+        poses = f"{row['unsafe_poses']} of {row['poses']}", f"{row['touching_poses']}", f"{row['contacts']}"
+        stopped = "yes" if row["stopped"] else "no"
+        rows.append([shown, *who, *poses, stopped, _mm(row["min_tool_m"]), _mm(row["min_arm_m"])])
+    head = "trial", "scene", "contender", "delta", "poses beyond delta", "poses touching", "contacts", "stopped"
+    lines = [
+        f"{len(numbers)} in all. Trial n is made again by `python -m pipelines.safety_study --film n` (same options).",
+        "",
+        table([*head, "tool", "arm"], rows),
+    ]
     if len(numbers) > MOST_LISTED:
         lines.append(f"\n{len(numbers) - MOST_LISTED} more are in `trials.npz`.")
     lines += [f"\n![Trial {number}]({name})" for number, name in films.items()]
@@ -240,10 +221,6 @@ def _meaning(study: SafetyStudy) -> str:
 * Poses are recorded at {study.settings.execution.record_rate_hz:g} Hz: at most {_mm(step_of_pose_m(study))} apart.
 * gamma(v) = {1000 * tracking.gamma0_m:g} mm + {tracking.gamma1_s:g} s v, in planning, schedule and monitor.
 * Rendered hands on rendered tables, one camera model, hands that hold still."""
-
-
-def _label(study: SafetyStudy, name: str) -> str:
-    return LABELS[name].format(members=study.inputs.n_members)
 
 
 def _percent(value: float) -> str:

@@ -4,8 +4,6 @@ import dataclasses
 import itertools
 from collections.abc import Sequence
 
-import numpy as np
-
 from deltasafe.errors import PlanningError
 from deltasafe.geometry import Pose, PosePath, Trajectory, wrap_to_pi
 from deltasafe.planning import (
@@ -26,6 +24,7 @@ from deltasafe.planning import (
 )
 from deltasafe.planning.baselines import GaussianCheckSettings, GaussianObstacle, GaussianTestInView, gaussian_test
 from deltasafe.planning.constraint import ask_segment
+from deltasafe.planning.scc_rrt_star import search_bounds
 from deltasafe.planning.velocity import CHORD_TOLERANCE_M
 
 __all__ = ["OUTCOMES", "RefusalError", "parametric_motion", "scheduled_motion", "top_speed_motion"]
@@ -115,11 +114,8 @@ def parametric_motion(
     for name, end in (("start", first), ("goal", last)):
         if not ask_segment(constraint, end, end):
             raise RefusalError(f"{name} unsafe")
-    floor_z_m, turn = view.arrays.floor_z_m, settings.yaw_range_rad
-    lower = np.array([*view.grid.origin_m[:2], floor_z_m + settings.z_min_above_table_m, first[3] - turn])
-    upper = np.array([*view.grid.upper_m[:2], view.top_z_m + settings.z_max_above_field_m, first[3] + turn])
-    lower, upper = np.minimum(lower, np.minimum(first, last)), np.maximum(upper, np.maximum(first, last))
-    cost = line_cost(settings.cost, settings.rotation_weight_m2, floor_z_m, settings.length_weight_m)
+    lower, upper = search_bounds(view, settings, first, last[None])
+    cost = line_cost(settings.cost, settings.rotation_weight_m2, view.arrays.floor_z_m, settings.length_weight_m)
     tree = grow_tree(
         constraint,
         cost,

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from deltasafe.batches import Batch, Effort, run_batches
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.progress import Progress, silent
+from deltasafe.records import from_json
 from deltasafe.safety_study.paths import OUTCOMES
-from deltasafe.safety_study.settings import CONTENDERS, MADE_BY, SafetyStudySettings
+from deltasafe.safety_study.settings import CONTENDERS, LABELS, MADE_BY, SafetyStudySettings
 from deltasafe.safety_study.trials import BY_SPEED, COLUMNS, STAGES, Eyes, FrozenEyes, SceneRef, meet
 from deltasafe.scene import load_scenes
 from deltasafe.storage import atomic_folder, digest_of, read_json, sha256_of_file, write_json
@@ -100,6 +101,10 @@ class SafetyStudy:
         chosen = self.trials["contender"] == CONTENDERS.index(contender)
         return np.asarray(chosen & (self.trials["delta"] == delta))
 
+    def label(self, contender: str) -> str:
+        """How a contender is called for people."""
+        return LABELS[contender].format(members=self.inputs.n_members)
+
     @property
     def simulated_s(self) -> float:
         """Duration of all executions by the arm's clock."""
@@ -133,7 +138,7 @@ class SafetyStudy:
         folder = pathlib.Path(folder)
         record = read_json(folder / "study.json")
         try:
-            settings = _restored(SafetyStudySettings, record["settings"])
+            settings = from_json(SafetyStudySettings, record["settings"])
             with (folder / "trials.npz").open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
                 trials = {name: arrays[name] for name in (*COLUMNS, *BY_SPEED)}
             count = len(trials["situation"])
@@ -206,16 +211,3 @@ def _more(settings: SafetyStudySettings, executed: int, situations: int) -> int:
             raise SettingsError(f"not one motion was executed in {situations} situations; look at their outcomes")
         return MOST_BARREN
     return math.ceil(1.02 * (settings.n_executions - executed) * situations / executed)
-
-
-def _restored(kind: Any, record: Mapping[str, Any]) -> Any:
-    """A settings dataclass from its JSON form: nested ones and tuples restored."""
-    values: dict[str, Any] = {}
-    defaults = kind()
-    for name, value in record.items():
-        known = getattr(defaults, name)
-        if dataclasses.is_dataclass(known):
-            values[name] = _restored(type(known), value)
-        else:
-            values[name] = tuple(value) if isinstance(value, list) else value
-    return kind(**values)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from deltasafe.batches import Batch
 from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.execution.recording import Execution
-from deltasafe.execution.safety import body_points, judge
+from deltasafe.execution.safety import judge, largest_p_occupied
 from deltasafe.execution.simulate import execute, iiwa_for
 from deltasafe.geometry import Pose, Trajectory
 from deltasafe.planning import PlanResult, SafetyField, ToolBody, plan
@@ -291,7 +291,7 @@ class _Table:
         touching = execution.tool_to_hand_m[judged] <= 0
         unsafe = np.zeros(verdict.poses, np.bool_)
         if not verdict.whole_motion_delta_safe:
-            unsafe = _largest(execution, grid, self.body) > delta
+            unsafe = largest_p_occupied(execution, grid, self.body)[judged] > delta
         tool_m = execution.tool_to_hand_m[judged]
         speed_bin = np.digitize(execution.reference_speed_mps[judged], SPEED_EDGES_MPS[1:-1])
         n_bins = len(SPEED_EDGES_MPS) - 1
@@ -335,10 +335,3 @@ class _Clock:
         spent_s = time.thread_time() - self.began_s
         inside_s = sum(self.seconds.values()) - self.others_s
         self.seconds[self.stage] += spent_s - inside_s
-
-
-def _largest(execution: Execution, grid: OccupancyGrid, body: ToolBody) -> NDArray[np.float64]:
-    """(N,) largest p_occupied of the tool's points at each judged pose."""
-    points, judged = body_points(body), execution.judged
-    placed = zip(execution.tool_rotations[judged], execution.tool_positions_m[judged], strict=True)
-    return np.array([grid.at(points @ turn.T + place).max() for turn, place in placed])

@@ -20,8 +20,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.intervals import upper_bound
 from deltasafe.planning.tracking import TrackingBound
-from deltasafe.safety_study.intervals import upper_bound
 from deltasafe.tracking_study.tracks import PHASES_OF_SPEED, Tracks
 
 __all__ = ["SPEED_EDGES_MPS", "Coverage", "coverage_of", "fitted_bound", "gamma0_over", "slope_of"]

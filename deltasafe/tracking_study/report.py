@@ -2,6 +2,7 @@
 
 import pathlib
 
+from deltasafe.markdown import table
 from deltasafe.planning.tracking import TrackingBound
 from deltasafe.storage import atomic_folder, write_json
 from deltasafe.tracking_study.bound import Coverage, coverage_of
@@ -60,13 +61,13 @@ e_rotation. The arm is a simulated one, whose friction and sensors are drawn for
 
 
 def _table(coverage: tuple[Coverage, ...]) -> str:
-    lines = [
-        "| | runs | within | lower 95 % | samples | within | largest error | largest excess |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {one.name} | {one.runs} | {one.of_runs:.2%} | {one.runs_lower95:.2%} | {one.samples} | "
-        f"{one.of_samples:.3%} | {1e3 * one.largest_error_m:.3f} mm | {1e3 * one.largest_excess_m:+.3f} mm |"
+    head = "", "runs", "within", "lower 95 %", "samples", "within", "largest error", "largest excess"
+    rows = [
+        [
+            *(one.name, f"{one.runs}", f"{one.of_runs:.2%}", f"{one.runs_lower95:.2%}"),
+            *(f"{one.samples}", f"{one.of_samples:.3%}"),
+            *(f"{1e3 * one.largest_error_m:.3f} mm", f"{1e3 * one.largest_excess_m:+.3f} mm"),
+        ]
         for one in coverage
     ]
-    return "\n".join(lines)
+    return table(head, rows)

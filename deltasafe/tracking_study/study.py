@@ -12,6 +12,7 @@ from deltasafe.batches import Effort, run_batches
 from deltasafe.errors import DataError
 from deltasafe.planning.tracking import TrackingBound
 from deltasafe.progress import Progress, silent
+from deltasafe.records import from_json
 from deltasafe.storage import atomic_folder, read_json, write_json
 from deltasafe.tracking_study.bound import Coverage, coverage_of, fitted_bound, gamma0_over
 from deltasafe.tracking_study.settings import TrackingStudySettings
@@ -120,8 +121,7 @@ class TrackingStudy:
             raise DataError(folder / "study.json", f"is not a tracking study of format {_FORMAT}; run it again")
         path = folder / "tracks.npz"
         try:
-            values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record["settings"].items()}
-            settings = TrackingStudySettings(**values)
+            settings = from_json(TrackingStudySettings, record["settings"])
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
                 tracks = Tracks(**{field.name: arrays[field.name] for field in dataclasses.fields(Tracks)})
             effort = Effort(**record["effort"])

@@ -5,8 +5,8 @@ import pathlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from deltasafe.markdown import table
 from deltasafe.perception.ensemble_size import ensemble_size_table, ensemble_size_values
-from deltasafe.perception.markdown import table
 from deltasafe.perception.metrics import Scores
 from deltasafe.perception.study.settings import Cell, StudySettings
 from deltasafe.perception.study.tables import (
