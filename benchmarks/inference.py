@@ -48,7 +48,8 @@ def frozen(n_members: int, network: NetworkSettings, inference: InferenceSetting
         head.weight.data.mul_(_HEAD)  # type: ignore[operator]
         members.append(Member.write(root / f"member-{seed}", made, {**record, "seed": seed}))
     golden = np.random.default_rng(0).integers(0, 256, (inference.height, inference.width, 3), dtype=np.uint8)
-    return freeze_ensemble(members, inference, Calibration(0, n_members, 0, 0, 0, 0, 0, None), golden, root / "frozen")
+    unjudged = Calibration(1, n_members, 0, 0, 0, 0, 0, None)
+    return freeze_ensemble(members, inference, unjudged, golden, root / "frozen")
 
 
 class OneAfterAnother:

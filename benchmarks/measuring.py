@@ -81,7 +81,7 @@ def conclude(record: dict[str, Any], destination: pathlib.Path | None, command: 
 
     Args:
         record: ``figures`` (name -> number) with whatever explains them, ``seeds`` among it.
-        destination: JSON: ``figures`` of all its benchmarks, and below ``benchmarks`` each one's own record. Figures
+        destination: JSON: ``figures`` of all its benchmarks, and under ``parts`` each one's own record. Figures
             that this benchmark gave earlier are replaced, those of others stay.
         command: what measured it, with its options.
     """
@@ -90,7 +90,7 @@ def conclude(record: dict[str, Any], destination: pathlib.Path | None, command: 
     if destination is None:
         return
     name = command.rpartition("-m benchmarks.")[2].split(maxsplit=1)[0]
-    merge_part(destination, name, below="benchmarks", command=command, **record)
+    merge_part(destination, name, command=command, **record)
     say(f"written: {destination}")
 
 

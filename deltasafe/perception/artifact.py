@@ -10,7 +10,6 @@ model_card.md         what it is, how it was judged, where it fails
 
 import dataclasses
 import functools
-import os
 import pathlib
 import shutil
 from typing import Any
@@ -18,21 +17,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.arrays import read_npz
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.perception.calibration import Calibration
 from deltasafe.perception.engine import Engine, engine_of_program, pick_engine
 from deltasafe.perception.ensemble import Ensemble
+from deltasafe.perception.manifest import FORMAT_VERSION, described, read_manifest
 from deltasafe.perception.member import Member, load_network
 from deltasafe.perception.model_card import model_card
 from deltasafe.perception.onnx_export import export_onnx
-from deltasafe.perception.settings import InferenceSettings, NetworkSettings
-from deltasafe.storage import atomic_file, atomic_folder, digest_of_code, read_json, sha256_of_file, write_json
+from deltasafe.perception.settings import InferenceSettings
+from deltasafe.storage import atomic_file, atomic_folder, digest_of_code, sha256_of_file, write_json
 
-__all__ = ["FORMAT_VERSION", "FrozenEnsemble", "freeze_ensemble", "load_ensemble", "verify_artifact"]
+__all__ = [
+    "FORMAT_VERSION",
+    "FrozenEnsemble",
+    "artifact_name",
+    "freeze_ensemble",
+    "golden_difference",
+    "load_ensemble",
+    "verify_artifact",
+]
 
-FORMAT_VERSION = 3
-"""2 applies the temperature of `calibration.json`; in version 1 it was always 1. Since 3, the ONNX program takes images
-of any size and gives the members' logits as well."""
 _FIRST_WITH_ANY_SIZE = 3
 GOLDEN_TOLERANCE = 1e-4
 
@@ -53,9 +59,14 @@ class FrozenEnsemble(Ensemble):
         self.folder = folder
         self.manifest = manifest
         self.calibration = Calibration.load(folder / "calibration.json")
-        network = NetworkSettings.from_record(manifest["network"])
+        network, inference = described(folder, manifest)
+        if self.calibration.n_members != manifest["n_members"]:
+            raise ArtifactError(
+                folder / "calibration.json",
+                f"is of {self.calibration.n_members} members, the ensemble has {manifest['n_members']}; pull it again",
+            )
         members = [load_network(network, folder / name) for name in manifest["members"]]
-        super().__init__(members, InferenceSettings(**manifest["inference"]), device, self.calibration.temperature)
+        super().__init__(members, inference, device, self.calibration.temperature)
         self._engine_name = pick_engine(engine, self.device)
         if manifest["format_version"] < _FIRST_WITH_ANY_SIZE and self._engine_name != "torch":
             if engine != "auto":
@@ -104,8 +115,7 @@ def freeze_ensemble(
     networks = [member.network() for member in members]
     ensemble = Ensemble(networks, inference, temperature=calibration.temperature)
     parent = pathlib.Path(parent)
-    staging = parent / f".freezing-{os.getpid()}"
-    with atomic_folder(staging) as temporary:
+    with atomic_folder(parent / "ensemble", named=artifact_name) as temporary:
         names = [f"member-{index}.safetensors" for index in range(len(members))]
         for member, name in zip(members, names, strict=True):
             shutil.copyfile(member.weights, temporary / name)
@@ -133,13 +143,13 @@ def freeze_ensemble(
             file.write_text(model_card(manifest, calibration), encoding="utf-8")
         manifest["files"] = {path.name: sha256_of_file(path) for path in sorted(temporary.iterdir()) if path.is_file()}
         write_json(temporary / "manifest.json", manifest)
-        destination = parent / f"ensemble-{sha256_of_file(temporary / 'manifest.json')[:16]}"
-    if destination.exists():
-        shutil.rmtree(staging)
-        verify_artifact(destination)
-    else:
-        staging.replace(destination)
+        destination = parent / artifact_name(temporary)
     return destination
+
+
+def artifact_name(folder: pathlib.Path) -> str:
+    """What the folder of a frozen ensemble must be called: by its manifest, which names the digests of all else."""
+    return f"ensemble-{sha256_of_file(folder / 'manifest.json')[:16]}"
 
 
 def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
@@ -151,30 +161,27 @@ def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
     folder = pathlib.Path(folder)
     if not folder.is_dir():
         raise ArtifactError(folder, "is not a folder; give the folder of a frozen ensemble")
-    try:
-        manifest = read_json(folder / "manifest.json")
-    except DataError as error:
-        raise ArtifactError(error.path, error.reason) from None
-    version = manifest.get("format_version") if isinstance(manifest, dict) else None
-    if version not in (1, 2, FORMAT_VERSION):
-        raise ArtifactError(
-            folder / "manifest.json", f"has format_version {version!r}, this version reads 1 to {FORMAT_VERSION}"
-        )
-    expected_name = f"ensemble-{sha256_of_file(folder / 'manifest.json')[:16]}"
+    manifest = read_manifest(folder)
+    expected_name = artifact_name(folder)
     if folder.resolve().name.startswith("ensemble-") and folder.resolve().name != expected_name:
-        raise ArtifactError(folder, f"was altered: its manifest belongs to {expected_name}")
+        raise ArtifactError(folder, f"was altered: its manifest belongs to {expected_name}; pull the artifact again")
     for name, digest in manifest["files"].items():
         file = folder / name
-        if pathlib.PurePath(name).name != name:
-            raise ArtifactError(folder / "manifest.json", f"names a file outside of the folder: {name!r}")
         if not file.is_file():
             raise ArtifactError(file, "is missing; pull the artifact again")
-        if sha256_of_file(file) != digest:
+        try:
+            found = sha256_of_file(file)
+        except OSError as error:
+            raise ArtifactError(file, f"cannot be read ({error.strerror}); restore its permissions") from error
+        if found != digest:
             raise ArtifactError(file, "was altered (its SHA-256 differs); pull the artifact again")
-    needed = {*manifest["members"], "calibration.json", "golden.npz", "ensemble.onnx"}
-    if unlisted := needed - set(manifest["files"]):
-        raise ArtifactError(folder / "manifest.json", f"lists no digest for {sorted(unlisted)}")
-    return dict(manifest)
+    for file in sorted(folder.iterdir()):
+        if file.name not in {"manifest.json", *manifest["files"]}:
+            if not file.name.startswith("."):  # hidden ones are left by desktops, and read by nobody
+                raise ArtifactError(file, "does not belong to the ensemble (its manifest does not name it); remove it")
+        elif not file.resolve().is_relative_to(folder.resolve()):
+            raise ArtifactError(file, "is a link out of the folder; copy the file itself (cp -L)")
+    return manifest
 
 
 def load_ensemble(folder: str | pathlib.Path, device: str = "cpu", engine: str = "auto") -> FrozenEnsemble:
@@ -202,10 +209,22 @@ def golden_difference(ensemble: FrozenEnsemble) -> float:
         ArtifactError: it exceeds the tolerance: this machine does not reproduce the ensemble.
     """
     file = ensemble.folder / "golden.npz"
-    with np.load(file, allow_pickle=False) as golden:
-        difference = float(np.abs(ensemble.p_occupied(golden["rgb"]) - golden["p_occupied"]).max())
+    try:
+        golden = read_npz(file)
+        rgb, expected = golden["rgb"], golden["p_occupied"]
+        if expected.shape != rgb.shape[:2] or expected.dtype.kind != "f":
+            raise ValueError(f"{expected.dtype} {expected.shape} is no answer to an image {rgb.shape}")
+        answered = ensemble.p_occupied(rgb)
+    except (KeyError, SettingsError, ValueError) as error:
+        if isinstance(error, ArtifactError):
+            raise
+        reason = error.reason if isinstance(error, DataError) else error
+        raise ArtifactError(file, f"holds no image and answer ({reason}); pull the artifact again") from error
+    difference = float(np.abs(answered - expected).max())
     if not difference <= GOLDEN_TOLERANCE:
         raise ArtifactError(
-            file, f"is answered with a difference of {difference:.2g} in probability (<= {GOLDEN_TOLERANCE})"
+            file,
+            f"is answered with a difference of {difference:.2g} in probability (<= {GOLDEN_TOLERANCE}); "
+            "use another engine, or pull the artifact again",
         )
     return difference

@@ -5,6 +5,7 @@ import dataclasses
 import hashlib
 import json
 import multiprocessing
+import os
 import pathlib
 from collections.abc import Iterator
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.lifeline import end_with_parent
 from deltasafe.perception.augmentation import (
     METHOD_NAMES,
     AugmentationSettings,
@@ -157,8 +159,8 @@ def write_augmented_set(
     n, (size, mask_type) = len(hands) * settings.n_variants, stored_form(settings)
     recipes: list[dict[str, Any]] = []
     with atomic_folder(folder) as temporary:
-        images = np.lib.format.open_memmap(temporary / "images.npy", mode="w+", dtype=np.uint8, shape=(n, *size, 3))
-        masks = np.lib.format.open_memmap(temporary / "masks.npy", mode="w+", dtype=mask_type, shape=(n, *size))
+        images = _room(temporary / "images.npy", np.uint8, (n, *size, 3))
+        masks = _room(temporary / "masks.npy", mask_type, (n, *size))
         for done, variants in enumerate(_all_variants(hands, backgrounds, settings, workers), start=1):
             for made in variants:
                 images[len(recipes)], masks[len(recipes)] = made.image, made.mask
@@ -218,6 +220,7 @@ def _all_variants(
 
 def _begin(hands: HandSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings) -> None:
     """Workers read pictures themselves: who is sent more than a pipe holds, and dies at its start, is waited for."""
+    end_with_parent()
     global _maker  # noqa: PLW0603  (one for the life of a worker)
     _maker = maker_of(hands, _pictures(backgrounds), settings)
     cv2.setNumThreads(1)
@@ -242,6 +245,15 @@ def _read_recipes(path: pathlib.Path) -> tuple[dict[str, Any], ...]:
         except json.JSONDecodeError as error:
             raise DataError(path, f"line {number} is no recipe ({error}); write the augmented set again") from error
     return tuple(recipes)
+
+
+def _room(path: pathlib.Path, kind: type[np.generic], shape: tuple[int, ...]) -> np.memmap:
+    """An array on disk that can be filled: a full disk is an error now, not the death of the process later."""
+    array: np.memmap = np.lib.format.open_memmap(path, mode="w+", dtype=kind, shape=shape)
+    if hasattr(os, "posix_fallocate"):
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+    return array
 
 
 def _mapped(path: pathlib.Path, shape: tuple[int, ...], kind: type[np.generic]) -> np.ndarray:

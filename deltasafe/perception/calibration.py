@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.reliability import DELTA_GRID, BinCounts, bootstrap_weights, ratio
+from deltasafe.records import from_json
 from deltasafe.storage import read_json
 
 __all__ = [
@@ -66,6 +67,12 @@ class Calibration:
     missed_hand_threshold: float | None = None
 
     def __post_init__(self) -> None:
+        for name in ("n_images", "n_members"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("pixel_accuracy", "miou", "brier", "expected_calibration_error", "level"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise SettingsError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
         supported = self.smallest_supported_delta
         if supported is not None and not 0.0 < supported < 1.0:
             raise SettingsError(f"smallest_supported_delta must lie in (0, 1) or be None, got {supported}")
@@ -81,8 +88,11 @@ class Calibration:
         """
         value = read_json(path)
         try:
-            return cls(**value)
-        except (TypeError, SettingsError) as error:
+            if not isinstance(value, dict):
+                raise TypeError("not an object")
+            found: Calibration = from_json(cls, value)
+            return found
+        except (TypeError, ValueError) as error:
             raise DataError(path, f"is not a calibration ({error}); freeze the ensemble again") from error
 
 

@@ -6,7 +6,7 @@ import pathlib
 import torch
 from torch import Tensor, nn
 
-from deltasafe.storage import atomic_file
+from deltasafe.storage import atomic_file, parse_json
 
 __all__ = ["Checkpoint"]
 
@@ -32,24 +32,15 @@ class Checkpoint:
             save_file({key: value.contiguous() for key, value in tensors.items()}, temporary, metadata)
 
     def restore(self, network: nn.Module, optimiser: torch.optim.Optimizer) -> list[float]:
-        """Load the state in place and return the losses so far; empty where there is none that fits."""
-        from safetensors import SafetensorError, safe_open
+        """Load the state in place and return the losses so far; empty where there is none that fits.
 
-        if not self.file.is_file():
+        A damaged checkpoint is none: it changes nothing, and the training begins anew.
+        """
+        tensors = self._intact()
+        weights, state = _with_prefix(tensors, "network."), _by_parameter(_with_prefix(tensors, "optimiser."))
+        if state is None or "losses" not in tensors or _shapes(weights) != _shapes(network.state_dict()):
             return []
-        try:
-            with safe_open(self.file, framework="pt") as opened:
-                metadata = json.loads((opened.metadata() or {}).get("deltasafe", "{}"))
-                if metadata.get("identity") != self.identity:
-                    return []
-                tensors = {key: opened.get_tensor(key) for key in opened.keys()}  # noqa: SIM118
-        except (SafetensorError, OSError, json.JSONDecodeError):
-            return []
-        network.load_state_dict(_with_prefix(tensors, "network."))
-        state: dict[int, dict[str, Tensor]] = {}
-        for key, value in _with_prefix(tensors, "optimiser.").items():
-            index, name = key.split(".", 1)
-            state.setdefault(int(index), {})[name] = value
+        network.load_state_dict(weights)
         optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
         for parameter, moments in optimiser.state.items():
             # the fused update walks memory, so moments must lie in memory as their parameter does
@@ -59,8 +50,39 @@ class Checkpoint:
         losses: list[float] = tensors["losses"].tolist()
         return losses
 
+    def _intact(self) -> dict[str, Tensor]:
+        """All tensors of the file; none if it is damaged, of another training, or has weights that are not finite."""
+        from safetensors import SafetensorError, safe_open
+
+        if not self.file.is_file():
+            return {}
+        try:
+            with safe_open(self.file, framework="pt") as opened:
+                metadata = parse_json((opened.metadata() or {}).get("deltasafe", "{}"))
+                if not isinstance(metadata, dict) or metadata.get("identity") != self.identity:
+                    return {}
+                tensors = {key: opened.get_tensor(key) for key in opened.keys()}  # noqa: SIM118
+        except (SafetensorError, OSError, ValueError):
+            return {}
+        return tensors if all(bool(value.isfinite().all()) for value in tensors.values()) else {}
+
     def discard(self) -> None:
         self.file.unlink(missing_ok=True)
+
+
+def _by_parameter(tensors: dict[str, Tensor]) -> dict[int, dict[str, Tensor]] | None:
+    """The optimiser's state by the number of the parameter; None if a name has none."""
+    state: dict[int, dict[str, Tensor]] = {}
+    for key, value in tensors.items():
+        index, _, name = key.partition(".")
+        if not index.isdecimal() or not name:
+            return None
+        state.setdefault(int(index), {})[name] = value
+    return state
+
+
+def _shapes(tensors: dict[str, Tensor]) -> dict[str, tuple[int, ...]]:
+    return {key: tuple(value.shape) for key, value in tensors.items()}
 
 
 def _with_prefix(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

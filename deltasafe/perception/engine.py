@@ -1,7 +1,9 @@
 """What computes an ensemble's logits: torch, member after member, or the frozen program in one of two runtimes."""
 
+import contextlib
 import importlib.util
 import pathlib
+from collections.abc import Iterator
 from typing import Any, Protocol
 
 import numpy as np
@@ -9,11 +11,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from deltasafe.errors import SettingsError
+from deltasafe.errors import ArtifactError, SettingsError
 
 __all__ = ["ENGINES", "Engine", "TorchEngine", "engine_of_program", "pick_engine"]
 
 ENGINES = ("auto", "torch", "onnxruntime", "openvino")
+_SPIN_US = "50"
 
 
 class Engine(Protocol):
@@ -67,6 +70,18 @@ def engine_of_program(name: str, program: pathlib.Path) -> Engine:
     return _OnnxRuntime(program) if name == "onnxruntime" else _OpenVino(program)
 
 
+@contextlib.contextmanager
+def _runnable(program: pathlib.Path, engine: str) -> Iterator[None]:
+    """Turns what a runtime raises at a program that it cannot read into one typed error."""
+    try:
+        yield
+    except Exception as error:  # each runtime has kinds of its own
+        reason = " ".join(str(error).split())[:200]
+        raise ArtifactError(
+            program, f"is no program that {engine} can run ({reason}); pull the artifact again"
+        ) from error
+
+
 class _OnnxRuntime:
     name = "onnxruntime"
 
@@ -76,9 +91,15 @@ class _OnnxRuntime:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = torch.get_num_threads()
         options.inter_op_num_threads = 1
-        # threads that wait actively between two operations, but not between two images
+        # threads wait actively from one operation to the next, but no longer: on a machine that does other work as
+        # well, such waiting takes time from others and from the thread that is waited for
+        options.add_session_config_entry("session.intra_op.spin_duration_us", _SPIN_US)
         options.add_session_config_entry("session.force_spinning_stop", "1")
-        self._session = onnxruntime.InferenceSession(str(program), options, providers=["CPUExecutionProvider"])
+        with _runnable(program, self.name):
+            self._session = onnxruntime.InferenceSession(str(program), options, providers=["CPUExecutionProvider"])
+            names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
+            if names[0] != "rgb" or "member_logits" not in names:
+                raise ValueError(f"it maps {names[0]} to {names[1:]}, not rgb to member_logits")
 
     def member_logits(self, images: NDArray[np.uint8]) -> Tensor:
         return torch.from_numpy(self._session.run(["member_logits"], {"rgb": images})[0])
@@ -91,7 +112,8 @@ class _OpenVino:
         import openvino
 
         core = openvino.Core()
-        model = core.read_model(program)
+        with _runnable(program, self.name):
+            model = core.read_model(program)
         wanted: dict[str, Any] = {
             "PERFORMANCE_HINT": "LATENCY",
             "INFERENCE_NUM_THREADS": torch.get_num_threads(),

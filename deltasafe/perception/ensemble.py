@@ -87,4 +87,4 @@ class Ensemble:
 def probability(logits: Tensor, size: tuple[int, ...]) -> Tensor:
     """The one conversion point: logits (B, h, w) -> p_occupied (B, H, W) at ``size`` = (H, W)."""
     scaled = interpolate(logits[:, None], size, mode="bilinear", align_corners=False)
-    return torch.sigmoid(scaled)[:, 0]
+    return scaled.sigmoid_()[:, 0]

@@ -1,17 +1,14 @@
-"""All members of an ensemble, side by side: one process each, the machine's cores shared among them."""
+"""All members of an ensemble, side by side: one process each, the cores of a machine shared among them."""
 
-import concurrent.futures
+import contextlib
 import dataclasses
-import functools
-import multiprocessing
 import os
 import pathlib
-import queue
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import torch
 
+from deltasafe.engine import LOCAL, Engine, Needs, Task
 from deltasafe.errors import SettingsError
 from deltasafe.perception.augmented_set import AugmentedSet
 from deltasafe.perception.member import Member
@@ -38,6 +35,7 @@ def train_members(
     device: str = "auto",
     workers: int = 0,
     on_step: Callable[[str, StepReport], None] | None = None,
+    engine: Engine = LOCAL,
 ) -> dict[str, Member]:
     """Train the members of ``jobs``, ``workers`` at a time; each is resumed and found again as in `train_member`.
 
@@ -46,60 +44,46 @@ def train_members(
     gets the spare cores as threads.
 
     Args:
-        data: folder of the augmented set, memory-mapped by every process.
-        workers: processes; 0 is one a core on a CPU, and one alone on a GPU.
+        data: folder of the augmented set, memory-mapped by every process; it and the members' folders are seen from
+            wherever the engine trains.
+        workers: processes of this machine; 0 is one a core on a CPU, and one alone on a GPU.
         on_step: hears of every step of every member.
+        engine: where they are trained. A member whose process is lost goes on from its checkpoint.
 
     Raises:
         SettingsError: ``workers`` is negative, or what `train_member` raises.
+        WorkerLostError: a member's process was lost again and again.
     """
     if workers < 0:
         raise SettingsError(f"workers must not be negative, got {workers}")
-    cores = os.cpu_count() or 1
-    workers = workers or (cores if pick_device(device).type == "cpu" else 1)
+    workers = workers or ((os.cpu_count() or 1) if pick_device(device).type == "cpu" else 1)
     trained: dict[str, Member] = {}
-    for first in range(0, len(jobs), workers):
-        group = jobs[first : first + workers]
-        train = functools.partial(_train, data, settings, device, max(1, cores // len(group)), os.getpid())
-        trained |= _side_by_side(train, group, on_step)
+
+    def hear(report: tuple[str, StepReport]) -> None:
+        if on_step is not None:
+            on_step(*report)
+
+    for size, n_threads in engine.rounds(len(jobs), workers):
+        group = jobs[len(trained) : len(trained) + size]
+        tasks = [Task(f"training of {job.name}", _train, (data, settings, device, n_threads, job)) for job in group]
+        needs = Needs(n_threads, gpu=device != "cpu", apart=True)
+        with contextlib.closing(engine.run(tasks, size, needs, hear)) as finished:
+            made = dict(finished)
+        trained |= {job.name: made[index] for index, job in enumerate(group)}
     return trained
 
 
-def _side_by_side(
-    train: Callable[[Any, MemberJob], Member],
-    group: Sequence[MemberJob],
-    on_step: Callable[[str, StepReport], None] | None,
-) -> dict[str, Member]:
-    context = multiprocessing.get_context("spawn")
-    with context.Manager() as manager, concurrent.futures.ProcessPoolExecutor(len(group), context) as pool:
-        steps = manager.Queue()
-        futures = {job.name: pool.submit(train, steps, job) for job in group}
-        waiting = set(futures.values())
-        while waiting or not steps.empty():
-            try:
-                name, report = steps.get(timeout=0.5)
-            except queue.Empty:
-                waiting = {future for future in waiting if not future.done()}
-            else:
-                if on_step is not None:
-                    on_step(name, report)
-        return {name: future.result() for name, future in futures.items()}
-
-
 def _train(
+    tell: Callable[[tuple[str, StepReport]], None],
     data: str | pathlib.Path,
     settings: TrainingSettings,
     device: str,
     n_threads: int,
-    parent: int,
-    steps: Any,
     job: MemberJob,
 ) -> Member:
     torch.set_num_threads(n_threads)
 
     def report(step: StepReport) -> None:
-        if os.getppid() != parent:
-            raise SystemExit("the process that asked for this member is gone; its checkpoint will be continued")
-        steps.put((job.name, step))
+        tell((job.name, step))
 
     return train_member(AugmentedSet.load(data), settings, job.seed, job.folder, device, report)

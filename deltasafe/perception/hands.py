@@ -2,7 +2,9 @@
 
 import dataclasses
 import hashlib
+import io
 import pathlib
+import warnings
 
 import cv2
 import numpy as np
@@ -11,10 +13,12 @@ from PIL import Image
 from deltasafe.errors import DataError
 from deltasafe.storage import digest_of, sha256_of_file
 
-__all__ = ["HandItem", "HandSet", "check_disjoint", "read_registry", "read_rgb"]
+__all__ = ["HandItem", "HandSet", "check_disjoint", "read_mask", "read_registry", "read_rgb"]
 
 _EXIF_ORIENTATION = 0x0112
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
+MOST_PIXELS = 80_000_000
+"""Of an image; a header of a few bytes can claim any number, and memory is reserved for it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,6 +119,29 @@ def read_rgb(path: str | pathlib.Path) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
+def read_mask(path: str | pathlib.Path) -> np.ndarray:
+    """A mask as ``(H, W)`` uint8: 255 where there is hand, somewhere, and 0 elsewhere.
+
+    Raises:
+        DataError: the file is missing, cannot be decoded, or holds anything else.
+    """
+    path = pathlib.Path(path)
+    mask = _decode(path)
+    if mask.ndim != 2 or mask.dtype != np.uint8:
+        channels = 1 if mask.ndim == 2 else mask.shape[2]
+        raise DataError(
+            path, f"has {channels} channel(s) of {mask.dtype}; a mask is of one channel with 8 bits, convert it"
+        )
+    values = np.unique(mask)
+    if not np.isin(values, (0, 255)).all():
+        found = ", ".join(str(value) for value in values if value not in (0, 255))
+        hint = "; JPEG cannot hold a mask" if path.suffix.lower() != ".png" else ""
+        raise DataError(path, f"holds the value(s) {found[:60]}; only 0 and 255 are allowed, store it as PNG{hint}")
+    if 255 not in values:
+        raise DataError(path, "marks no hand (255 nowhere); label the image, or remove it from the set")
+    return mask
+
+
 def read_registry(path: str | pathlib.Path) -> dict[str, str]:
     """SHA-256 by relative path, from a file in the format of ``sha256sum``.
 
@@ -124,8 +151,12 @@ def read_registry(path: str | pathlib.Path) -> dict[str, str]:
     path = pathlib.Path(path)
     if not path.is_file():
         raise DataError(path, "is missing; write it with sha256sum, or load the set without a registry")
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(path, f"cannot be read ({error}); write it with sha256sum") from error
     registry = {}
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(lines, start=1):
         digest, _, name = line.partition("  ")
         if len(digest) != 64 or not name:
             raise DataError(path, f"line {number} is {line!r}, not a SHA-256 sum and a path; write it with sha256sum")
@@ -135,13 +166,15 @@ def read_registry(path: str | pathlib.Path) -> dict[str, str]:
 
 def _files(folder: pathlib.Path) -> dict[str, pathlib.Path]:
     if not folder.is_dir():
-        raise DataError(folder, "is not a folder; a set consists of images/ and masks/")
+        raise DataError(folder, "is not a folder; make it, a set consists of images/ and masks/")
     files: dict[str, pathlib.Path] = {}
     for path in sorted(folder.iterdir()):
         if path.name.startswith("."):
             continue
         if path.suffix.lower() not in IMAGE_SUFFIXES:
             raise DataError(path, f"is no image ({', '.join(IMAGE_SUFFIXES)}); remove or convert it")
+        if not path.is_file():
+            raise DataError(path, "is no file; remove it, images and masks lie side by side")
         if path.stem in files:
             raise DataError(path, f"has the stem of {files[path.stem].name}; rename or remove one of the two")
         files[path.stem] = path
@@ -150,43 +183,58 @@ def _files(folder: pathlib.Path) -> dict[str, pathlib.Path]:
 
 def _read(item: HandItem) -> tuple[np.ndarray, np.ndarray]:
     rgb = read_rgb(item.image)
-    mask = _decode(item.mask)
-    if mask.ndim != 2 or mask.dtype != np.uint8:
-        channels = 1 if mask.ndim == 2 else mask.shape[2]
-        raise DataError(item.mask, f"has {channels} channel(s) of {mask.dtype}; a mask is of one channel with 8 bits")
+    mask = read_mask(item.mask)
     if mask.shape != rgb.shape[:2]:
         raise DataError(
             item.mask,
             f"is {mask.shape[1]} x {mask.shape[0]} but its image is {rgb.shape[1]} x {rgb.shape[0]}; "
             "export both at the same size",
         )
-    values = np.unique(mask)
-    if not np.isin(values, (0, 255)).all():
-        found = ", ".join(str(value) for value in values if value not in (0, 255))
-        hint = "; JPEG cannot hold a mask" if item.mask.suffix.lower() != ".png" else ""
-        raise DataError(
-            item.mask, f"holds the value(s) {found[:60]}; only 0 and 255 are allowed, store it as PNG{hint}"
-        )
-    if 255 not in values:
-        raise DataError(item.mask, "marks no hand (255 nowhere); label the image, or remove it from the set")
     return rgb, mask // 255
 
 
 def _decode(path: pathlib.Path) -> np.ndarray:
+    if path.exists() and not path.is_file():
+        raise DataError(path, "is no file; give an image file")
     try:
-        data = np.fromfile(path, dtype=np.uint8)
+        data = path.read_bytes()
     except OSError as error:
         raise DataError(path, f"cannot be read ({error.strerror}); restore the file") from error
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    _check_whole(path, data)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
     if image is None:
-        raise DataError(path, f"is no readable image ({data.size} bytes); restore or remove it")
-    with Image.open(path) as opened:
-        orientation = opened.getexif().get(_EXIF_ORIENTATION, 1)
+        raise DataError(path, f"is no readable image ({len(data)} bytes); restore or remove it")
+    return image
+
+
+def _check_whole(path: pathlib.Path, data: bytes) -> None:
+    """Refuse what a decoder would make an image of all the same: cut short, too large to be one, or to be turned."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of damaged EXIF, which matters only if it can be read
+            with Image.open(io.BytesIO(data)) as opened:
+                width, height = opened.size
+                if width * height > MOST_PIXELS:
+                    raise DataError(
+                        path,
+                        f"claims to be {width} x {height} pixels; at most {MOST_PIXELS} are read, make it smaller",
+                    )
+                mode, orientation = opened.mode, opened.getexif().get(_EXIF_ORIENTATION, 1)
+                opened.load()
+    except DataError:
+        raise
+    except Exception as error:  # of many kinds, as the format is read
+        reason = " ".join(str(error).split())[:120].replace(repr(data), "")
+        raise DataError(path, f"is no readable image ({len(data)} bytes; {reason}); restore or remove it") from error
+    if mode == "CMYK":
+        raise DataError(path, "holds the four colours of print (CMYK); convert it to RGB with 8 bits a channel")
     if orientation != 1:
         raise DataError(
             path, f"asks viewers to turn it (EXIF orientation {orientation}), which its mask may not; save it turned"
         )
-    return image
 
 
 def _check_registered(items: tuple[HandItem, ...], registry: pathlib.Path) -> None:

@@ -49,9 +49,15 @@ class Member:
         folder = pathlib.Path(folder)
         record = read_json(folder / "member.json")
         weights = folder / "weights.safetensors"
+        if not isinstance(record, dict) or not isinstance(record.get("weights_sha256"), str):
+            raise DataError(folder / "member.json", "names no digest of the weights; train the member again")
         if not weights.is_file():
             raise DataError(weights, "is missing; train the member again")
-        if sha256_of_file(weights) != record["weights_sha256"]:
+        try:
+            found = sha256_of_file(weights)
+        except OSError as error:
+            raise DataError(weights, f"cannot be read ({error.strerror}); restore its permissions") from error
+        if found != record["weights_sha256"]:
             raise ArtifactError(weights, "differs from the digest in member.json; train the member again")
         return cls(folder, record)
 
@@ -83,7 +89,12 @@ class Member:
 
     @property
     def network_settings(self) -> NetworkSettings:
-        return NetworkSettings.from_record(self.record["settings"]["network"])
+        try:
+            return NetworkSettings.from_record(self.record["settings"]["network"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(
+                self.folder / "member.json", f"describes no network ({error!r}); train the member again"
+            ) from error
 
     def network(self) -> SegmentationNetwork:
         """The trained network in evaluation mode, on the CPU."""
@@ -94,14 +105,22 @@ def load_network(settings: NetworkSettings, weights: pathlib.Path) -> Segmentati
     """A network with the weights of a safetensors file, in evaluation mode.
 
     Raises:
-        ArtifactError: the weights do not fit the settings.
+        ArtifactError: the weights do not fit the settings, or one of them is NaN or infinite.
     """
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
     network = build_network(dataclasses.replace(settings, pretrained=False), seed=0)
     try:
-        network.load_state_dict(load_file(weights))
-    except (SafetensorError, RuntimeError) as error:
-        raise ArtifactError(weights, f"does not hold the weights of {settings}: {error}") from error
+        tensors = load_file(weights)
+        network.load_state_dict(tensors)
+    except (SafetensorError, OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise ArtifactError(
+            weights,
+            f"does not hold the weights of {settings} ({reason}); pull the artifact, or train the member, again",
+        ) from error
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() and not bool(tensor.isfinite().all()):
+            raise ArtifactError(weights, f"holds a value in {name} that is not finite; train the member again")
     return network.eval()

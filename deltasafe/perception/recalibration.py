@@ -138,7 +138,10 @@ def apply_temperature(p_occupied: NDArray[np.floating], temperature: float) -> N
     if not temperature > 0.0:
         raise SettingsError(f"temperature must be positive, got {temperature}")
     p = require_p_occupied(p_occupied)
-    return p if temperature == 1.0 else 1.0 / (1.0 + np.exp(-_logit(p) / temperature))
+    if temperature == 1.0:
+        return p
+    clipped = p.clip(NLL_CLIP, 1.0 - NLL_CLIP)
+    return np.asarray(1.0 / (1.0 + ((1.0 - clipped) / clipped) ** (1.0 / temperature)))  # a power, not log and exp
 
 
 def _logit(p: NDArray[np.float64]) -> NDArray[np.float64]:

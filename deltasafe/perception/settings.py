@@ -22,6 +22,7 @@ PRECISIONS = ("auto", "float32", "bfloat16")
 SCHEDULES = ("one_cycle", "exponential")
 
 _STRIDE = 16
+_WIDEST = 8192
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,10 +52,12 @@ class NetworkSettings:
             raise SettingsError(f"architecture must be one of {ARCHITECTURES}, got {self.architecture!r}")
         if self.backbone not in BACKBONES:
             raise SettingsError(f"backbone must be one of {BACKBONES}, got {self.backbone!r}")
-        if self.pyramid_channels < 1:
-            raise SettingsError(f"pyramid_channels must be positive, got {self.pyramid_channels}")
-        if not self.atrous_rates or min(self.atrous_rates) < 1:
-            raise SettingsError(f"atrous_rates must be at least one positive number, got {self.atrous_rates}")
+        if not 1 <= self.pyramid_channels <= _WIDEST:
+            raise SettingsError(f"pyramid_channels must be positive and at most {_WIDEST}, got {self.pyramid_channels}")
+        if not self.atrous_rates or not all(1 <= rate <= _WIDEST for rate in self.atrous_rates):
+            raise SettingsError(
+                f"atrous_rates must be at least one positive number, of at most {_WIDEST}, got {self.atrous_rates}"
+            )
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "NetworkSettings":
@@ -131,6 +134,8 @@ class InferenceSettings:
     def __post_init__(self) -> None:
         if self.width < 2 * _STRIDE or self.height < 2 * _STRIDE:
             raise SettingsError(f"inference size must be at least 32 x 32, got {self.width} x {self.height}")
+        if max(self.width, self.height) > _WIDEST:
+            raise SettingsError(f"inference size must be at most {_WIDEST} a side, got {self.width} x {self.height}")
 
     def network_size(self, height: int, width: int) -> tuple[int, int]:
         """(height, width) that the networks see for an image of ``height`` x ``width`` pixels."""

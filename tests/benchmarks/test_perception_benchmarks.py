@@ -26,14 +26,14 @@ def test_all_figures_are_finite_and_come_into_one_record(tmp_path):
     assert training.main([*common, "--members", "1", "--steps", "2", "--repeats", "1"]) == 0
     assert paper_preset.main([*common, "--images", "6"]) == 0
     written = read_json(record)
-    assert set(written["benchmarks"]) == {"inference", "training", "paper_preset"}
+    assert set(written["parts"]) == {"inference", "training", "paper_preset"}
     figures = written["figures"]
     assert {"inference_ratio", "inference_ratio_48x36", "training_ratio", "training_ratio_recipe"} <= set(figures)
     assert {"training_peak_share", "paper_preset_s_per_step", "paper_preset_projected_gpu_hours"} <= set(figures)
     assert all(math.isfinite(value) for value in figures.values())
     assert all(value > 0 for name, value in figures.items() if "agreement" not in name)
     assert figures["inference_agreement"] <= 1e-4
-    lowest, highest = written["benchmarks"]["inference"]["sizes"]["64x48"]["range_of_p_occupied"]
+    lowest, highest = written["parts"]["inference"]["sizes"]["64x48"]["range_of_p_occupied"]
     assert highest - lowest > 0.1, "agreement on a constant says nothing"
 
 
@@ -46,7 +46,7 @@ def test_a_record_keeps_what_others_measured_and_drops_what_is_measured_anew(tmp
     assert written["figures"] == {"a": 4.0, "b": 3.0}
     assert written["seeds"] == {"one": {"x": 1}, "two": {}}
     assert written["command"] == "python -m benchmarks.one; python -m benchmarks.two"
-    assert written["benchmarks"]["two"]["cores"] is None
+    assert written["parts"]["two"]["cores"] is None
     assert written["commit"]
     assert written["machine"]
 

@@ -9,6 +9,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.engine import LOCAL, Engine
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.augmentation import AugmentationSettings
 from deltasafe.perception.augmented_set import AugmentedSet, write_augmented_set
@@ -64,6 +65,7 @@ class Study:
     store: StudyStore
     device: str = "auto"
     workers: int = 0
+    engine: Engine = LOCAL
 
     def scheme_settings(self, cell: Cell) -> SchemeSettings:
         """What makes exactly ``cell.n_images`` images of the originals.
@@ -167,7 +169,15 @@ class Study:
             MemberJob(f"{cell.name}/{seed}", seed, self.store.member(identity)) for seed, identity in identities.items()
         ]
         missing = [job for job in jobs if Member.find(job.folder, identities[job.seed]) is None]
-        train_members(missing, data.folder, training, device=self.device, workers=self.workers, on_step=on_step)
+        train_members(
+            missing,
+            data.folder,
+            training,
+            device=self.device,
+            workers=self.workers,
+            on_step=on_step,
+            engine=self.engine,
+        )
         members = [Member.load(job.folder) for job in jobs]
         assert {len(member.losses) for member in members} == {self.n_steps(cell)}
         return members

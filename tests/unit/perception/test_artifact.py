@@ -204,6 +204,26 @@ def test_a_manifest_may_not_point_outside_of_its_folder(copy, tmp_path):
         verify_artifact(renamed)
 
 
+def test_a_file_more_and_a_link_out_of_the_folder_are_refused(copy, tmp_path):
+    (copy / "run.py").write_text("print()")
+    with pytest.raises(ArtifactError, match=r"run\.py: does not belong"):
+        verify_artifact(copy)
+    (copy / "run.py").unlink()
+    (copy / ".DS_Store").write_text("left by a desktop")
+    verify_artifact(copy)
+    outside = (copy / "golden.npz").rename(tmp_path / "golden.npz")
+    (copy / "golden.npz").symlink_to(outside)
+    with pytest.raises(ArtifactError, match=r"golden\.npz: is a link out of the folder"):
+        verify_artifact(copy)
+
+
+def test_weights_that_are_not_finite_are_refused(members, tmp_path):
+    network = members[0].network()
+    next(network.parameters()).data[0] = float("nan")
+    with pytest.raises(ArtifactError, match="not finite"):
+        Member.write(tmp_path, network, members[0].record).network()
+
+
 def test_an_unknown_format_and_a_missing_folder_are_refused(copy, tmp_path):
     (copy / "manifest.json").write_text('{"format_version": 99}')
     with pytest.raises(ArtifactError, match="format_version 99"):

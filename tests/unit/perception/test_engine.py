@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from deltasafe.errors import ArtifactError, SettingsError
+from deltasafe.perception import onnx_winograd
 from deltasafe.perception.artifact import freeze_ensemble, golden_difference, load_ensemble
 from deltasafe.perception.calibration import Calibration
 from deltasafe.perception.engine import pick_engine
@@ -100,10 +101,41 @@ def test_the_program_agrees_for_any_batch_and_applies_the_temperature(frozen):
 def test_nothing_is_computed_twice_and_no_normalisation_is_left(frozen):
     graph = onnx.load(frozen / "ensemble.onnx").graph
     kinds = [node.op_type for node in graph.node]
-    assert kinds.count("Cast") == kinds.count("Transpose") == kinds.count("Sub") - 1 == 1  # one Sub is 1 - p
+    inputs = [node.op_type for node in graph.node if "rgb" in node.input or "permute" in node.input]
+    assert sorted(inputs) == ["Cast", "Shape", "Transpose"]
+    assert kinds.count("Sub") - 1 == 1  # the other is 1 - p
     assert "BatchNormalization" not in kinds
     one = sum(isinstance(module, nn.Conv2d) for module in build_network(NETWORK, 0).modules())
-    assert kinds.count("Conv") == 3 * one
+    assert kinds.count("Range") == 2  # the matrices that enlarge
+    assert kinds.count("Conv") == 3 * (one + 1 + 11)  # one is split in two, one made of twelve
+
+
+def test_the_programs_decoder_is_rewritten_and_agrees_on_many_images(frozen):
+    names = {item.name for item in onnx.load(frozen / "ensemble.onnx").graph.initializer}
+    for index in range(3):
+        assert not {f"{index}.network.decoder.{layer}.0.weight" for layer in (0, 1)} & names
+        assert {f"{index}.network.decoder.{name}" for name in ("0.0.weight.taps", "1.0.weight.5", "1.0.bias")} <= names
+    fast, reference = load_ensemble(frozen, engine=installed("onnxruntime")), load_ensemble(frozen, engine="torch")
+    random = np.random.default_rng(5)
+    differences, low, high = [], 1.0, 0.0
+    for seed in range(24):
+        noise = image(*random.integers(20, 200, 2), seed)
+        rgb = noise if seed % 2 else np.ascontiguousarray(np.sort(noise, axis=1))
+        expected = reference.member_p_occupied(rgb)
+        differences.append(np.abs(fast.member_p_occupied(rgb) - expected).max())
+        low, high = min(low, expected.min()), max(high, expected.max())
+    assert max(differences) < 1e-4
+    assert high - low > 0.8
+
+
+def test_winograds_matrices_convolve():
+    matrices = (np.array(onnx_winograd._OUTPUT), np.array(onnx_winograd._KERNEL) / 24, np.array(onnx_winograd._INPUT))
+    random = np.random.default_rng(0)
+    kernel, values = random.normal(size=3), random.normal(size=6)
+    of_output, of_kernel, of_input = matrices
+    made = of_output @ ((of_kernel @ kernel) * (of_input @ values))
+    assert made == pytest.approx(np.correlate(values, kernel, "valid"), abs=1e-12)
+    assert (of_output[:, onnx_winograd._BIASED] == 1).all()
 
 
 @pytest.mark.parametrize(
@@ -126,6 +158,24 @@ def test_every_network_can_be_frozen(settings, tmp_path):
         with torch.inference_mode():
             expected = torch.sigmoid(ensemble.engine.member_logits(rgb)).numpy()
         assert np.abs(session.run(["member_p_occupied"], {"rgb": rgb})[0] - expected).max() < 1e-4
+
+
+def test_a_bias_that_is_zero_in_one_member_is_not_lost_in_another(tmp_path):
+    import onnxruntime
+
+    networks = [network(NETWORK, seed) for seed in range(2)]
+    biases = [name for name, module in networks[0].named_modules() if getattr(module, "bias", None) is not None]
+    for first, second in zip(networks[0].named_parameters(), networks[1].named_parameters(), strict=True):
+        if first[0] == f"{biases[-1]}.bias":
+            first[1].data.zero_()
+            second[1].data.fill_(0.8)
+    ensemble = Ensemble(networks, INFERENCE)
+    export_onnx(ensemble, tmp_path / "ensemble.onnx")
+    session = onnxruntime.InferenceSession(tmp_path / "ensemble.onnx", providers=["CPUExecutionProvider"])
+    rgb = image(48, 64)[None]
+    with torch.inference_mode():
+        expected = torch.sigmoid(ensemble.engine.member_logits(rgb)).numpy()
+    assert np.abs(session.run(["member_p_occupied"], {"rgb": rgb})[0] - expected).max() < 1e-4
 
 
 def test_folding_leaves_the_function_and_no_normalisation():

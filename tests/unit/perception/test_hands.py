@@ -2,14 +2,16 @@
 
 import pathlib
 import shutil
+import struct
 import subprocess
+import zlib
 
 import cv2
 import numpy as np
 import pytest
 
 from deltasafe.errors import DataError
-from deltasafe.perception.hands import HandSet, check_disjoint, read_registry
+from deltasafe.perception.hands import HandSet, check_disjoint, read_registry, read_rgb
 from deltasafe.storage import sha256_of_file
 
 DATASETS = pathlib.Path(__file__).parents[3] / "datasets"
@@ -167,6 +169,24 @@ def same_stem(folder: pathlib.Path) -> pathlib.Path:
     shutil.copy(folder / "images" / "a.png", folder / "images" / "a.PNG.jpg")
     (folder / "images" / "a.PNG.jpg").rename(folder / "images" / "a.jpg")
     return folder / "images" / "a.png"
+
+
+def test_a_header_that_claims_too_much_is_refused_before_anything_is_decoded(folder: pathlib.Path) -> None:
+    path = folder / "images" / "a.png"
+    data = path.read_bytes()
+    header = b"IHDR" + struct.pack(">II", 90_000, 90_000) + data[24:29]
+    path.write_bytes(data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:])
+    with pytest.raises(DataError, match=r"a\.png: "):
+        HandSet.load(folder)
+
+
+def test_half_a_jpeg_is_refused(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    write(tmp_path / "a.jpg", picture(2, 200, 300)[0])
+    data = (tmp_path / "a.jpg").read_bytes()
+    read_rgb(tmp_path / "a.jpg")
+    (tmp_path / "a.jpg").write_bytes(data[: len(data) // 2])
+    with pytest.raises(DataError, match=r"a\.jpg: is no readable image"):
+        read_rgb(tmp_path / "a.jpg")
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the members that are trained: in this process, which is quicker for six steps."""
     names: list[str] = []
 
-    def train_here(jobs, data, settings, *, device, workers, on_step):
+    def train_here(jobs, data, settings, *, device, workers, on_step, engine):
         for job in jobs:
             names.append(job.name)
             train_member(AugmentedSet.load(data), settings, job.seed, job.folder, device)
