@@ -10,7 +10,7 @@ from typing import Any
 import numba
 from numba.core import caching
 
-__all__ = ["compiled", "kernel"]
+__all__ = ["compiled", "inlined", "kernel"]
 
 
 @functools.cache
@@ -55,6 +55,14 @@ def kernel(function: Callable[..., Any]) -> Any:
     to compile. numba refuses to compile a kernel that allocates.
     """
     return _cached(numba.njit(cache=True, _nrt=False)(function))
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """``kernel`` that becomes part of its callers: tables of arrays are not copied from call to call.
+
+    A named tuple of arrays is passed by value, a hundred words or more, which costs more than many a look-up.
+    """
+    return _cached(numba.njit(cache=True, _nrt=False, forceinline=True)(function))
 
 
 def _cached(dispatcher: Any) -> Any:

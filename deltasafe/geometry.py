@@ -12,6 +12,9 @@ __all__ = ["Pose", "PosePath", "Trajectory", "wrap_to_pi", "yaw_of"]
 
 Array = NDArray[np.float64]
 
+FARTHEST = 1000.0
+"""Metres and radians: searches divide the space between their ends into cells, and count them."""
+
 
 def wrap_to_pi(angle_rad: Array | float) -> Array:
     """Angle in [-pi, pi) that is equal to ``angle_rad`` modulo a full turn."""
@@ -36,6 +39,8 @@ class Pose:
     def __post_init__(self) -> None:
         if not all(math.isfinite(value) for value in self.as_tuple()):
             raise SettingsError(f"a pose must be finite, got {self.as_tuple()}")
+        if max(map(abs, self.as_tuple())) > FARTHEST:
+            raise SettingsError(f"a pose must lie within {FARTHEST:g} metres and radians, got {self.as_tuple()}")
 
     def as_tuple(self) -> tuple[float, float, float, float]:
         return (self.x_m, self.y_m, self.z_m, self.yaw_rad)

@@ -52,13 +52,14 @@ def main(arguments: list[str] | None = None) -> int:
         record["equal_time"] = measures.at_equal_time(made, budgets_s, turns, program, files, wheel)
         for where, table in record["equal_time"].items():
             say(f"{where}: " + ", ".join(f"{name} {row['mean_cost']:.4f}" for name, row in table.items()))
+        scene = scene_times(2 if small else repeats, n_scenes=1 if small else 5)
+        record["scene"], figures["scene_ms"] = scene, scene["median_ms"]["whole"]
+        say("from image to trajectory: " + ", ".join(f"{name} {ms:.1f} ms" for name, ms in scene["median_ms"].items()))
     paths, poses, unsafe = measures.audit(cluttered, n_paths, iterations)
     figures |= {"audit_paths": paths, "audit_poses": poses, "audit_unsafe": unsafe}
     record["missed_by_sampling"] = measures.missed_by_sampling(made, 3 if small else 100, iterations)
     for where, row in record["missed_by_sampling"].items():
         say(f"{where}: of {row['paths']} paths {row['refused']} refused, {row['unsafe']} with an unsafe pose")
-    scene = scene_times(2 if small else repeats, n_scenes=1 if small else 5)
-    record["scene"], figures["scene_ms"] = scene, scene["median_ms"]["whole"]
     record["foreign_cores"] = others.cores
     record["figures"] = figures
     for name, value in figures.items():

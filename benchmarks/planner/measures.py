@@ -16,7 +16,7 @@ from benchmarks.planner.ompl import harness, wheel
 from benchmarks.planner.problems import DELTA, MARGIN_M, Problem
 from deltasafe.planner_study.scenes import EllipticDisc, crowded_scene
 from deltasafe.planning import is_segment_safe
-from deltasafe.scene import OccupancyGrid
+from deltasafe.trials.audit import audit_path
 
 __all__ = [
     "against_ompl",
@@ -29,6 +29,7 @@ __all__ = [
     "turns",
 ]
 
+REACH_M = EllipticDisc().semi_axis_x_m
 Run = Callable[[int], tuple[float, float]]
 
 
@@ -149,8 +150,8 @@ def audit(problem: Problem, n_paths: int, iterations: int, spacing_m: float = 0.
         seed += 1
         if path is not None:
             paths += 1
-            looked, bad = _unsafe_poses(problem.field.grid, points, path, spacing_m)
-            poses, unsafe = poses + looked, unsafe + bad
+            looked = audit_path(path, problem.field.grid, points, DELTA, REACH_M, spacing_m)
+            poses, unsafe = poses + looked.poses, unsafe + looked.unsafe_poses
     return paths, poses, unsafe
 
 
@@ -172,7 +173,7 @@ def missed_by_sampling(
                     continue
                 paths += 1
                 refused += not all(is_segment_safe(exact, a, b) for a, b in itertools.pairwise(path))
-                unsafe += _unsafe_poses(problem.field.grid, points, path, 0.001)[1] > 0
+                unsafe += audit_path(path, problem.field.grid, points, DELTA, REACH_M).unsafe_poses > 0
             table[f"{name}, N_x = {count}"] = {"paths": paths, "refused": refused, "unsafe": unsafe}
     return table
 
@@ -191,21 +192,6 @@ def _points_of_disc(spacing_m: float = 0.001) -> NDArray[np.float64]:
     flat = flat[(flat[:, 0] / disc.semi_axis_x_m) ** 2 + (flat[:, 1] / disc.semi_axis_y_m) ** 2 <= 1]
     half = disc.thickness_m / 2 + MARGIN_M
     return np.concatenate([np.column_stack([flat, np.full(len(flat), height)]) for height in (-half, 0.0, half)])
-
-
-def _unsafe_poses(
-    grid: OccupancyGrid, points: NDArray[np.float64], path: NDArray[np.float64], spacing_m: float
-) -> tuple[int, int]:
-    looked = unsafe = 0
-    for a, b in itertools.pairwise(path):
-        way = float(np.linalg.norm((b - a)[:3])) + 0.04 * abs(b[3] - a[3])
-        for share in np.linspace(0, 1, 1 + max(1, math.ceil(way / spacing_m))):
-            x, y, z, yaw = a + share * (b - a)
-            c, s = math.cos(yaw), math.sin(yaw)
-            there = points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + (x, y, z)
-            looked += 1
-            unsafe += bool((grid.at(there) > np.float32(DELTA)).any())
-    return looked, unsafe
 
 
 def cold_compile_s(problem: Problem) -> float:

@@ -78,10 +78,10 @@ class Problem:
         taken = time.thread_time() - began
         return taken, float(search.tree.cost[1])
 
-    def best_within(self, constraint: Any, budget_s: float, seed: int, share: float = 0.2) -> tuple[float, float]:
+    def best_within(self, constraint: Any, budget_s: float, seed: int, share: float = 0.4) -> tuple[float, float]:
         """Seconds of this thread and cost of an informed search with large near sets, and of the path's refinement."""
         began = time.thread_time()
-        search = self.search(constraint, seed, informed=True, near_factor=16.0)
+        search = self.search(constraint, seed, informed=True, near_factor=4.0)
         search.grow(deadline_s=began + (1 - share) * budget_s, clock=time.thread_time)
         poses = search.tree.path()
         if poses is None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.batches import Batch, Effort, run_batches
+from deltasafe.engine import LOCAL, Engine
 from deltasafe.errors import DataError
 from deltasafe.planner_study.contenders import MAIN, Contender, constraint_of, contenders, field_of, search
 from deltasafe.planner_study.scenes import StudyScene, cluttered_scene, simple_scene
@@ -107,7 +108,11 @@ class Comparison:
 
 
 def compare(
-    settings: ComparisonSettings, folder: str | pathlib.Path, workers: int = 1, progress: Progress = silent
+    settings: ComparisonSettings,
+    folder: str | pathlib.Path,
+    workers: int = 1,
+    progress: Progress = silent,
+    engine: Engine = LOCAL,
 ) -> Comparison:
     """Run, or go on with, the comparison; a batch in ``folder`` is a scene at a level.
 
@@ -116,7 +121,7 @@ def compare(
     jobs = [
         (f"{scene}-{level:02d}", (settings, scene, level)) for scene in SCENES for level in range(settings.n_levels)
     ]
-    batches, effort = run_batches(_one_level, jobs, folder, workers, progress, made_by=MADE_BY)
+    batches, effort = run_batches(_one_level, jobs, folder, workers, progress, made_by=MADE_BY, engine=engine)
     shape = (len(SCENES), settings.n_levels, len(contenders(settings)), settings.n_runs)
     runs = {name: np.stack([batch[name] for batch in batches]).reshape(shape) for name in MEASURES}
     return Comparison(settings, runs, effort)

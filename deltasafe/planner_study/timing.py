@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.batches import Batch, Effort, run_batches
+from deltasafe.engine import LOCAL, Engine
 from deltasafe.errors import DataError
 from deltasafe.planner_study.contenders import constraint_of, field_of, search
 from deltasafe.planner_study.scenes import crowded_scene
@@ -89,14 +90,18 @@ class Timing:
 
 
 def measure_times(
-    settings: TimingSettings, folder: str | pathlib.Path, workers: int = 1, progress: Progress = silent
+    settings: TimingSettings,
+    folder: str | pathlib.Path,
+    workers: int = 1,
+    progress: Progress = silent,
+    engine: Engine = LOCAL,
 ) -> Timing:
     """Measure, or go on measuring; a batch in ``folder`` is a number of obstacles.
 
     CPU time of one thread. More ``workers`` than idle cores disturb each other.
     """
     jobs = [(f"spheres-{count:03d}", (settings, count)) for count in settings.counts]
-    batches, effort = run_batches(_one_count, jobs, folder, workers, progress, made_by=MADE_BY)
+    batches, effort = run_batches(_one_count, jobs, folder, workers, progress, made_by=MADE_BY, engine=engine)
     stacked = {name: np.stack([batch[name] for batch in batches]) for name in ("seconds", "n_nodes", "field_s")}
     return Timing(settings, **stacked, effort=effort)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import compiled, kernel
+from deltasafe.compiling import compiled, inlined, kernel
 from deltasafe.errors import SettingsError
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.clearance import (
@@ -16,7 +16,6 @@ from deltasafe.planning.clearance import (
     is_certified,
     is_surely_unsafe,
     level_clearance,
-    quick_clearance,
 )
 from deltasafe.planning.constraint import answers_segments, ask_segment
 from deltasafe.planning.counters import key_of_segment, mixed
@@ -28,7 +27,9 @@ __all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_se
 
 METHODS = ("sampled", "exact", "continuous")
 MOST_SAMPLES = 16384
-GLANCE_M = 0.01
+GLANCE_M = 0.04
+"""Motion between the few poses where a plain refusal is looked for; decides the time, not the answer."""
+
 LOOK_CLOSELY_M = 0.002
 """Motion from a pose to what is shown so far, from which on the cover is asked."""
 
@@ -161,7 +162,7 @@ def _segment(test, first, second):  # type: ignore[no-untyped-def]
     return _at_poses(test.around, test.body, test.pool, test.numbers, start, end)
 
 
-@kernel
+@inlined
 def _comes_after(first, second):  # type: ignore[no-untyped-def]
     for axis in range(4):
         if first[axis] != second[axis]:
@@ -169,14 +170,14 @@ def _comes_after(first, second):  # type: ignore[no-untyped-def]
     return False
 
 
-@kernel
+@inlined
 def _motion(rho_max_m, start, end):  # type: ignore[no-untyped-def]
     """Bound of the way that any point of the body makes along a segment."""
     dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     return math.sqrt(dx * dx + dy * dy + dz * dz) + rho_max_m * abs(end[3] - start[3])
 
 
-@kernel
+@inlined
 def _at(start, end, t):  # type: ignore[no-untyped-def]
     return (
         start[0] + t * (end[0] - start[0]),
@@ -186,18 +187,22 @@ def _at(start, end, t):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel
+@inlined
 def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyped-def]
     """``exact`` and ``sampled``: poses at most Delta_p apart, both ends included, with margin for the way between."""
     steps = math.ceil(_motion(body.rho_max_m, start, end) / numbers.delta_p_m)
     need_m = numbers.margin_m + numbers.delta_p_m / 2
-    looks = _looks_first(numbers.method, pool.n_samples)
-    key, keyed = np.uint64(0), False
-    for step in range(steps + 1):
+    looks, height_m = _looks_first(numbers.method, pool.n_samples), body.half_thickness_m + need_m
+    key, keyed, step = np.uint64(0), False, 0
+    while step <= steps:
         x, y, z, yaw = _at(start, end, step / max(steps, 1))
-        if numbers.use_certificate and is_certified(around, x, y, z, need_m):
-            continue
-        if looks and level_clearance(around, body, x, y, z, yaw, need_m, True) >= need_m:
+        step += 1
+        if numbers.use_certificate:
+            free_m = certified_clearance_m(around, x, y, z)
+            if free_m >= need_m:  # and so are the poses within that way
+                step += int((free_m - need_m) / numbers.delta_p_m)
+                continue
+        if looks and level_clearance(around, body, x, y, z, yaw, need_m, True, height_m) >= need_m:
             continue
         if numbers.method == 1:
             if not is_certified(around, x, y, z, need_m):
@@ -205,57 +210,63 @@ def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyp
         else:
             if not keyed:
                 key, keyed = key_of_segment(np.uint64(numbers.seed), start, end), True
-            if not samples_are_free(around.lattice, pool, x, y, z, yaw, mixed(key, step + 1)):
+            if not samples_are_free(around.lattice, pool, x, y, z, yaw, mixed(key, step)):
                 return False
     return True
 
 
-@kernel
+@inlined
 def _looks_first(method, n_samples):  # type: ignore[no-untyped-def]
     """Whether clearances finer than the certificate are looked at: not where few samples are as quick."""
     return method != 0 or n_samples >= MANY_SAMPLES
 
 
-@kernel
+@inlined
 def _continuous(around, body, numbers, start, end):  # type: ignore[no-untyped-def]
     """From pose to pose, each shown to be clear by the margin and by the motion between it and what is shown so far.
 
     Most refusals are plain: they are looked for first, at few poses, before anything is shown to be safe.
     """
     motion_m = _motion(body.rho_max_m, start, end)
-    poses = 1 + int(motion_m / GLANCE_M)
-    for n in range(poses):
-        x, y, z, yaw = _at(start, end, (n + 0.5) / poses)
-        if is_certified(around, x, y, z, numbers.margin_m):
+    n_glances, glance = 1 + int(motion_m / GLANCE_M), 0
+    while glance < n_glances:
+        x, y, z, yaw = _at(start, end, (glance + 0.5) / n_glances)
+        free_m = certified_clearance_m(around, x, y, z)
+        if free_m >= numbers.margin_m:  # and so are the poses within that way
+            glance += 1 + int((free_m - numbers.margin_m) / GLANCE_M)
             continue
         if is_surely_unsafe(around, body, x, y, z, yaw):
             return False
+        glance += 1
     rise_m = abs(end[2] - start[2])
     level_reach_m = around.slab_m * motion_m / rise_m if rise_m > 0 else np.inf
+    slope = rise_m / motion_m if motion_m > 0 else 0.0
     shown_m, reach_m = 0.0, 0.5 * motion_m
     while True:
         along_m = min(shown_m + reach_m, motion_m)
         reach_m = along_m - shown_m  # what the pose looked at must be clear by, beyond the margin
         x, y, z, yaw = _at(start, end, along_m / motion_m if motion_m > 0 else 0.0)
-        free_m = certified_clearance_m(around, x, y, z)
-        need_m = numbers.margin_m + reach_m
-        if free_m < need_m:
-            if reach_m <= level_reach_m:
-                closely = reach_m <= LOOK_CLOSELY_M
-                level_m = level_clearance(around, body, x, y, z, yaw, need_m, closely)
-                free_m = max(free_m, min(level_m, numbers.margin_m + level_reach_m))
-                if free_m < need_m and reach_m <= numbers.resolution_m:
+        free_m, next_m = certified_clearance_m(around, x, y, z) - numbers.margin_m, 0.0
+        if free_m < reach_m:
+            if reach_m > level_reach_m:
+                reach_m = SHORTER * level_reach_m
+                continue
+            closely = reach_m <= LOOK_CLOSELY_M
+            height_m = body.half_thickness_m + numbers.margin_m + reach_m * slope
+            level_m = level_clearance(around, body, x, y, z, yaw, numbers.margin_m + reach_m, closely, height_m)
+            level_m -= numbers.margin_m
+            if level_m < reach_m:
+                if reach_m <= numbers.resolution_m:
                     return False
-            else:
-                free_m = max(free_m, quick_clearance(around, body, x, y, z, yaw))
-        free_m -= numbers.margin_m
-        if free_m >= reach_m:
-            shown_m = along_m + free_m
-            if shown_m >= motion_m:
-                return True
-            reach_m = max(SHORTER * free_m, STEP_M)
-        else:
-            reach_m = max(min(SHORTER * free_m, 0.9 * reach_m), 0.5 * reach_m)
+                reach_m = max(min(SHORTER * free_m, 0.9 * reach_m), 0.5 * reach_m)
+                continue
+            # what was seen in few slices holds no farther than they do
+            free_m = max(free_m, reach_m if closely else min(level_m, level_reach_m))
+            next_m = min(SHORTER * level_m, 2 * free_m)
+        shown_m = along_m + free_m
+        if shown_m >= motion_m:
+            return True
+        reach_m = max(SHORTER * free_m, next_m, STEP_M)
 
 
 @compiled

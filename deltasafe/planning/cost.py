@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import kernel
+from deltasafe.compiling import inlined, kernel
 from deltasafe.errors import SettingsError
 
 __all__ = ["COSTS", "LineCost", "area_m2", "line_cost", "path_cost", "pose_distance"]
@@ -59,14 +59,14 @@ def area_m2(poses: Array, table_z_m: float) -> float:
     return float((height_m * np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)).sum())
 
 
-@kernel
+@inlined
 def pose_distance(rotation_weight_m2, a, b):  # type: ignore[no-untyped-def]
     """sqrt(|dx|^2 + r dphi^2) of poses with continuous yaw."""
     dx, dy, dz, dyaw = a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
     return math.sqrt(dx * dx + dy * dy + dz * dz + rotation_weight_m2 * dyaw * dyaw)
 
 
-@kernel
+@inlined
 def segment_cost(cost, a, b):  # type: ignore[no-untyped-def]
     """Cost of the segment between two poses (4,)."""
     dx, dy, dz, dyaw = a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]

@@ -13,7 +13,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.planning.distances import MOST_VOXELS, squared_distance_in_slabs, squared_distance_to_voxels
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "close_clearance_at", "is_unsafe_at"]
+__all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "close_clearance_at"]
 
 REACH_M = 0.06
 """Clearances are exact up to this distance and capped there; beyond it the coarse grid has a bound."""
@@ -116,19 +116,19 @@ class SafetyField:
         return np.packbits(self.arrays.ball == 0, axis=2, bitorder="little")
 
     @functools.cached_property
-    def fine_clearance(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """Lower bounds of the distance to unsafe voxels over all points of a voxel, and over the rays above them.
+    def ray_clearance(self) -> NDArray[np.uint8]:
+        """Lower bounds (nx, ny, nz) of the distance to unsafe voxels over the rays above all points of a voxel.
 
         In steps of ``FINE_UNIT_M``, one more than the bound; 0 where there is none.
         """
         voxel_m = self.arrays.lattice.voxel_m
-        squared = np.arange(int(max(self.arrays.ball.max(), self.arrays.ray.max())) + 1)
+        squared = np.arange(int(self.arrays.ray.max()) + 1)
         bound_m = np.sqrt(squared) * (voxel_m / 2 * ROUNDING) - voxel_m * math.sqrt(3) / 2 * (2 - ROUNDING)
         steps = np.where(bound_m >= 0, np.minimum(np.floor(bound_m / FINE_UNIT_M), 254) + 1, 0).astype(np.uint8)
-        return _looked_up(steps, self.arrays.ball), _looked_up(steps, self.arrays.ray)
+        return np.asarray(_looked_up(steps, self.arrays.ray))
 
     def slabs(self, half_height_m: float) -> tuple[NDArray[np.uint8], float]:
-        """Horizontal distances (nz, nx, ny), in steps of ``FINE_UNIT_M``, to what is unsafe in the slices around.
+        """Horizontal distances (nx, ny, nz), in steps of ``FINE_UNIT_M``, to what is unsafe in the slices around.
 
         Args:
             half_height_m: how far above and below its middle a body reaches.
@@ -138,7 +138,16 @@ class SafetyField:
         """
         lattice = self.arrays.lattice
         half = math.ceil(half_height_m / lattice.voxel_m + LEAST_RISE)
+        return self._slab(half), half * lattice.voxel_m - half_height_m
+
+    @property
+    def slices(self) -> NDArray[np.uint8]:
+        """Horizontal distances (nx, ny, nz), in steps of ``FINE_UNIT_M``, to what is unsafe in the slice itself."""
+        return self._slab(0)
+
+    def _slab(self, half: int) -> NDArray[np.uint8]:
         if half not in self._slabs:
+            lattice = self.arrays.lattice
             unsafe = self.arrays.ball == 0
             squared = squared_distance_in_slabs(
                 unsafe, half, min(math.ceil(SLAB_REACH_M / lattice.voxel_m), MOST_VOXELS)
@@ -147,7 +156,7 @@ class SafetyField:
                 np.sqrt(np.arange(int(squared.max()) + 1)) * (lattice.voxel_m / 2 * ROUNDING / FINE_UNIT_M)
             )
             self._slabs[half] = _looked_up(np.minimum(steps, 255).astype(np.uint8), squared)
-        return self._slabs[half], half * lattice.voxel_m - half_height_m
+        return self._slabs[half]
 
     @functools.cached_property
     def _slabs(self) -> dict[int, NDArray[np.uint8]]:
@@ -193,15 +202,6 @@ def clearance_at(squared, lattice, x, y, z):  # type: ignore[no-untyped-def]
     i, j, k = min(int(u), lattice.nx - 1), min(int(v), lattice.ny - 1), min(int(w), lattice.nz - 1)
     u, v, w = u - i - 0.5, v - j - 0.5, w - k - 0.5
     return lattice.voxel_m * (0.5 * ROUNDING * math.sqrt(squared[i, j, k]) - math.sqrt(u * u + v * v + w * w))
-
-
-@kernel
-def is_unsafe_at(squared, lattice, x, y, z):  # type: ignore[no-untyped-def]
-    """Whether a point lies in an unsafe voxel, or beside the field."""
-    i = int(min(max((x - lattice.lower_x_m) * lattice.per_m, 0.0), lattice.nx - 1.0))
-    j = int(min(max((y - lattice.lower_y_m) * lattice.per_m, 0.0), lattice.ny - 1.0))
-    k = int(min(max((z - lattice.lower_z_m) * lattice.per_m, 0.0), lattice.nz - 1.0))
-    return squared[i, j, k] == 0
 
 
 @kernel

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import compiled, kernel
+from deltasafe.compiling import compiled, inlined, kernel
 from deltasafe.planning.constraint import segment_is_safe
 from deltasafe.planning.cost import least_cost, segment_cost
 from deltasafe.planning.counters import mixed, uniform
@@ -45,7 +45,7 @@ class Search(NamedTuple):
     counts: NDArray[np.int64]
 
 
-@kernel
+@inlined
 def _scaled(cost, pose):  # type: ignore[no-untyped-def]
     return pose[0], pose[1], pose[2], math.sqrt(cost.rotation_weight_m2) * pose[3]
 
@@ -111,7 +111,7 @@ def grow(search, constraint, cost, numbers, lower, upper, upto):  # type: ignore
             _reach_goal(search, constraint, cost, numbers, goal, this, iteration)
 
 
-@kernel
+@inlined
 def _sample(tree, cost, numbers, lower, upper, key):  # type: ignore[no-untyped-def]
     """The goal aimed at, or -1, and a pose."""
     goals = numbers.n_goals
@@ -122,7 +122,7 @@ def _sample(tree, cost, numbers, lower, upper, key):  # type: ignore[no-untyped-
     return -1, draw_pose(cost, pose_of(tree, goals), pose_of(tree, goal), lower, upper, best, key)
 
 
-@kernel
+@inlined
 def _may_improve(tree, cost, goals, lowest_z, pose):  # type: ignore[no-untyped-def]
     from_start = least_cost(cost, lowest_z, pose_of(tree, goals), pose)
     for goal in range(goals):
@@ -131,7 +131,7 @@ def _may_improve(tree, cost, goals, lowest_z, pose):  # type: ignore[no-untyped-
     return False
 
 
-@kernel
+@inlined
 def _near(search, cost, numbers, new, place, measured):  # type: ignore[no-untyped-def]
     """The near set of a pose as nodes in ``known.found``; returns its size. ``place`` is the nearest point."""
     known, count, goals = search.known, search.counts[0], numbers.n_goals
@@ -152,7 +152,7 @@ def _near(search, cost, numbers, new, place, measured):  # type: ignore[no-untyp
     return m
 
 
-@kernel
+@inlined
 def _cheapest_parent(search, constraint, cost, new, m):  # type: ignore[no-untyped-def]
     """The cheapest node of the near set from which the segment is safe, or -1; ``total[0]`` becomes its cost.
 
@@ -179,7 +179,7 @@ def _cheapest_parent(search, constraint, cost, new, m):  # type: ignore[no-untyp
     return -1
 
 
-@kernel
+@inlined
 def _rewire(search, constraint, this, m):  # type: ignore[no-untyped-def]
     """Near nodes that are cheaper through the new one are moved there; segments cost the same both ways."""
     tree, found, step = search.tree, search.known.found, search.step
@@ -190,7 +190,7 @@ def _rewire(search, constraint, this, m):  # type: ignore[no-untyped-def]
             move(tree, node, this, so_far + step[n])
 
 
-@kernel
+@inlined
 def _reach_goal(search, constraint, cost, numbers, goal, this, iteration):  # type: ignore[no-untyped-def]
     tree = search.tree
     new, there = pose_of(tree, this), pose_of(tree, goal)

@@ -3,11 +3,11 @@
 import dataclasses
 import math
 import pathlib
-import zipfile
 from typing import Any
 
 import numpy as np
 
+from deltasafe.arrays import read_npz
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.geometry import Pose, PosePath, Trajectory
 from deltasafe.planning.body import ToolBody
@@ -109,16 +109,18 @@ class PlannedMotion:
         record = read_json(folder / "motion.json")
         if not isinstance(record, dict) or record.get("format") != FORMAT:
             raise DataError(folder / "motion.json", f"is not a planned motion of format {FORMAT}; plan it again")
-        try:
-            with np.load(folder / "motion.npz", allow_pickle=False) as stored:
-                arrays = dict(stored)
-        except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
-            raise DataError(folder / "motion.npz", f"is not readable ({error})") from error
+        arrays = read_npz(folder / "motion.npz")
         try:
             result = dict(record["result"])
             result["status"] = PlanStatus(result["status"])
             result["clearance_m"] = math.nan if result["clearance_m"] is None else result["clearance_m"]
             result["path"] = PosePath(arrays["path"]) if "path" in arrays else None
+            if ("path" in arrays) < (result["status"] is PlanStatus.SOLVED):
+                raise ValueError("it is solved and has no path")
+            if ("trajectory_poses" in arrays) != ("profile_poses" in arrays) or not isinstance(record["reason"], str):
+                raise ValueError("a trajectory has a profile, and what has none a reason")
+            if ("trajectory_poses" in arrays) == bool(record["reason"]):
+                raise ValueError(f"its reason is {record['reason']!r}, which does not fit its trajectory")
             return cls(
                 PlanResult(**result),
                 Trajectory(**_group(arrays, "trajectory_")) if "trajectory_poses" in arrays else None,
@@ -130,7 +132,7 @@ class PlannedMotion:
                 record["seed"],
                 Sighting(**record["seen"]) if record.get("seen") else None,
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise DataError(folder, f"does not hold a planned motion ({error!r}); plan it again") from error
 
 

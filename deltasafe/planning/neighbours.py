@@ -4,9 +4,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from deltasafe.compiling import kernel
+from deltasafe.compiling import inlined
 from deltasafe.planning.buckets import BucketTree, collect, empty_buckets, insert, nearest_in
 
 __all__ = ["MANY", "Neighbours", "add_point", "empty_neighbours", "k_nearest", "nearest", "within"]
@@ -37,7 +39,7 @@ class Neighbours(NamedTuple):
 
 def empty_neighbours(capacity: int, many: int = MANY) -> Neighbours:
     """Room for ``capacity`` points; beyond ``many`` the bucket tree is used. Both give the same neighbours."""
-    squared, flags = np.empty(capacity + 8, np.float32), np.empty(8 * (capacity // 8 + 2), np.uint8)
+    squared, flags = np.empty(capacity + 8, np.float32), np.empty(64 * (capacity // 64 + 2), np.uint8)
     return Neighbours(
         np.empty((4, capacity), np.float32),
         squared,
@@ -52,7 +54,7 @@ def empty_neighbours(capacity: int, many: int = MANY) -> Neighbours:
     )
 
 
-@kernel
+@inlined
 def add_point(known, count, point):  # type: ignore[no-untyped-def]
     """Point number ``count``, a tuple of four."""
     for axis in range(4):
@@ -65,7 +67,7 @@ def add_point(known, count, point):  # type: ignore[no-untyped-def]
         insert(known.buckets, count, x)
 
 
-@kernel
+@inlined
 def nearest(known, count, point):  # type: ignore[no-untyped-def]
     """Index of the nearest of the first ``count`` points, and the squared distance."""
     x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
@@ -89,7 +91,7 @@ def nearest(known, count, point):  # type: ignore[no-untyped-def]
     return place, known.squared[place]
 
 
-@kernel
+@inlined
 def k_nearest(known, count, point, k, guess, measured):  # type: ignore[no-untyped-def]
     """At least the k nearest of the first ``count`` points, in ``known.found``; their number and the squared radius.
 
@@ -130,7 +132,7 @@ def k_nearest(known, count, point, k, guess, measured):  # type: ignore[no-untyp
     return kept, high
 
 
-@kernel
+@inlined
 def within(known, count, point, squared_radius):  # type: ignore[no-untyped-def]
     """The points within a radius, in ``known.found``; returns how many."""
     x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
@@ -139,28 +141,39 @@ def within(known, count, point, squared_radius):  # type: ignore[no-untyped-def]
     return _candidates(known, count, x, np.float32(squared_radius))
 
 
-@kernel
+@inlined
 def _candidates(known, count, x, wide):  # type: ignore[no-untyped-def]
     if count > known.many:
         return collect(known.buckets, x, wide, known.found, known.gap)
     found, gap, squared, flags = known.found, known.gap, known.squared, known.flags
     for n in range(count):
         flags[n] = squared[n] <= wide
-    flags[count : count + 8] = 0
-    words = known.words
-    m = 0
-    for word in range((count + 7) // 8):
-        bytes_set = words[word]
-        while bytes_set:
-            lowest = bytes_set & (~bytes_set + np.uint64(1))
-            n = 8 * word + np.int64((lowest * np.uint64(0x0001020304050607)) >> np.uint64(56))
+    flags[count : count + 64] = 0
+    words, m = known.words, 0
+    for group in range((count + 63) // 64):
+        chosen = np.uint64(0)
+        for part in range(8):  # eight bytes that are 0 or 1 become eight bits
+            byte = (words[8 * group + part] * np.uint64(0x0102040810204080)) >> np.uint64(56)
+            chosen |= byte << np.uint64(8 * part)
+        while chosen:
+            n = 64 * group + np.int64(_lowest_bit(chosen))
             found[m], gap[m] = n, squared[n]
             m += 1
-            bytes_set ^= lowest
+            chosen &= chosen - np.uint64(1)
     return m
 
 
-@kernel
+@intrinsic
+def _lowest_bit(typing_context, bits):  # type: ignore[no-untyped-def]
+    """Place of the lowest bit that is set, of uint64."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.cttz(arguments[0], context.get_constant(types.boolean, 1))
+
+    return types.uint64(types.uint64), generate
+
+
+@inlined
 def _measure(known, count, x):  # type: ignore[no-untyped-def]
     x0, x1, x2, x3 = x
     points, squared = known.points, known.squared

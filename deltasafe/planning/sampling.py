@@ -2,7 +2,7 @@
 
 import math
 
-from deltasafe.compiling import kernel
+from deltasafe.compiling import inlined, kernel
 from deltasafe.planning.cost import least_cost, pose_distance
 from deltasafe.planning.counters import mixed, normal_pair, uniform
 
@@ -11,7 +11,7 @@ __all__ = ["draw_pose", "uniform_pose"]
 ATTEMPTS = 50
 
 
-@kernel
+@inlined
 def draw_pose(cost, start, goal, lower, upper, best, key):  # type: ignore[no-untyped-def]
     """A pose in bounds, of those through which a path may cost less than ``best``; a function of ``key`` alone.
 
@@ -34,7 +34,7 @@ def draw_pose(cost, start, goal, lower, upper, best, key):  # type: ignore[no-un
     return uniform_pose(lower, upper, key)
 
 
-@kernel
+@inlined
 def uniform_pose(lower, upper, key):  # type: ignore[no-untyped-def]
     """A pose between two, uniformly."""
     return (

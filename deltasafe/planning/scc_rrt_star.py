@@ -225,12 +225,13 @@ class Planner:
 
     def _unsafe_end(self, name: str, pose: Array, status: PlanStatus) -> PlanResult | None:
         clearance_m = float(body_clearance_m(self._verifier, pose[None])[0])
-        if clearance_m >= self._margin_m + self.settings.resolution_m:
+        needed_m = self._margin_m + self.settings.resolution_m
+        if clearance_m >= needed_m:
             return None
         return self._failure(
             status,
             f"the {name} {np.round(pose, 4).tolist()} has a clearance of {1000 * clearance_m:.1f} mm, "
-            f"{1000 * self._margin_m:.1f} mm are needed: move it away from what may be occupied",
+            f"{1000 * needed_m:.1f} mm are needed: move it away from what may be occupied",
             clearance_m,
         )
 

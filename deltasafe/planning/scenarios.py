@@ -6,14 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import kernel
+from deltasafe.compiling import inlined
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.field import SafetyField
 
 __all__ = ["SamplePool", "sample_pool", "samples_are_free"]
 
 POOL_SIZE = 16384
-BLOCK = 16
+BLOCK = 32
+"""Samples looked up together: their voxels are found by vector units, then looked up one by one."""
 
 
 class SamplePool(NamedTuple):
@@ -25,6 +26,7 @@ class SamplePool(NamedTuple):
         n_samples: N_x.
         redraw: another place for each pose, or the first for all.
         floor: height of the table in voxels above the lattice's lower face.
+        place: (BLOCK,) int32, room for the places of a block's voxels.
     """
 
     points: NDArray[np.float32]
@@ -32,6 +34,7 @@ class SamplePool(NamedTuple):
     n_samples: int
     redraw: bool
     floor: float
+    place: NDArray[np.int32]
 
 
 def sample_pool(
@@ -40,17 +43,23 @@ def sample_pool(
     """Pool of points of R_0 + B(margin); an empty one for ``n_samples`` 0."""
     lattice = field.arrays.lattice
     if n_samples == 0:
-        return SamplePool(np.empty((3, 0), np.float32), np.empty(0, np.uint8), 0, redraw, 0.0)
-    padded = -(-n_samples // BLOCK) * BLOCK
+        none = np.empty((3, 0), np.float32), np.empty(0, np.uint8)
+        return SamplePool(*none, 0, redraw, 0.0, np.empty(0, np.int32))
+    padded = -(-n_samples // 16) * 16
     points = body.samples(margin_m, POOL_SIZE if redraw else padded, seed) * lattice.per_m
     points = np.concatenate([points, points[:padded]]).T
     floor = (field.arrays.floor_z_m - lattice.lower_z_m) * lattice.per_m
     return SamplePool(
-        np.ascontiguousarray(points, np.float32), field.unsafe_bits.ravel(), int(n_samples), redraw, floor
+        np.ascontiguousarray(points, np.float32),
+        field.unsafe_bits.ravel(),
+        int(n_samples),
+        redraw,
+        floor,
+        np.empty(BLOCK, np.int32),
     )
 
 
-@kernel
+@inlined
 def samples_are_free(lattice, pool, x, y, z, yaw, bits):  # type: ignore[no-untyped-def]
     """Whether none of N_x points of the body at a pose is unsafe. ``bits`` alone decide which points are drawn.
 
@@ -71,17 +80,26 @@ def samples_are_free(lattice, pool, x, y, z, yaw, bits):  # type: ignore[no-unty
     last_u, last_v, last_w = np.float32(lattice.nx - 1), np.float32(lattice.ny - 1), np.float32(lattice.nz - 1)
     floor = np.float32(pool.floor)
     zero = np.float32(0.0)
-    rows, columns = np.int32(lattice.ny), np.int32((lattice.nz + 7) // 8)
+    rows, columns = np.int32(lattice.ny), np.int32((lattice.nz + 7) // 8 * 8)
+    last, place, unsafe = first + pool.n_samples, pool.place, pool.unsafe
+    xs, ys, zs = pool.points[0, first:last], pool.points[1, first:last], pool.points[2, first:last]
     for begin in range(0, pool.n_samples, BLOCK):
-        end = min(begin + BLOCK, pool.n_samples)
-        bad = 0
-        for n in range(first + begin, first + end):
-            u, v, w = pool.points[0, n], pool.points[1, n], pool.points[2, n] + w0
-            i = np.int32(min(max(u0 + a * u - b * v, zero), last_u))
-            j = np.int32(min(max(v0 + c * u + d * v, zero), last_v))
-            k = np.int32(min(max(w, zero), last_w))
-            bad |= (pool.unsafe[(i * rows + j) * columns + (k >> 3)] >> (k & 7)) & 1
-            bad |= w < floor
-        if bad:
+        size = min(BLOCK, pool.n_samples - begin)
+        below = np.int32(0)
+        for n in range(size):
+            u = u0 + a * xs[begin + n] - b * ys[begin + n]
+            v = v0 + c * xs[begin + n] + d * ys[begin + n]
+            w = zs[begin + n] + w0
+            below |= np.int32(w < floor)
+            u, v, w = u if u > zero else zero, v if v > zero else zero, w if w > zero else zero
+            u, v, w = u if u < last_u else last_u, v if v < last_v else last_v, w if w < last_w else last_w
+            place[n] = (np.int32(u) * rows + np.int32(v)) * columns + np.int32(w)
+        if below:
+            return False
+        bad = np.uint64(0)
+        for n in range(size):
+            bit = np.uint64(place[n])
+            bad |= np.uint64(unsafe[bit >> np.uint64(3)]) >> (bit & np.uint64(7))
+        if bad & np.uint64(1):
             return False
     return True

@@ -34,11 +34,13 @@ class Surroundings(NamedTuple):
     Attributes:
         certificate: (cx, cy, cz) uint8, the distance certificate: v > 0 says that the body is clear by v - 1 units
             wherever in the cell its centre is and however it is turned; 0 says nothing.
-        near, above: (nx, ny, nz) uint8, the clearance of any point of a voxel, and of any ray upwards from it: v > 0
-            says at least v - 1 fine units.
-        few: (m, 4) few balls that contain the disc: centre in its plane in voxels, radius and radius in the plane in m.
-        slabs: (nz, nx, ny) uint8, horizontal distance from the middle of a voxel to all that is unsafe in the slices
-            that disc and margin may meet while the pose keeps its height up to ``slab_m``; in fine units.
+        above: (nx, ny, nz) uint8, the clearance of any ray upwards from a voxel: v > 0 says at least v - 1 fine units.
+        unsafe: (nx, ny, ceil(nz / 8)) uint8, the unsafe voxels as bits.
+        few: (m, 3) few balls that contain the disc: centre in its plane in voxels, radius in the plane in m;
+            ``widest_m`` the largest radius.
+        slices: (nx, ny, nz) uint8, horizontal distance from the middle of a voxel to all that is unsafe in its slice,
+            in fine units.
+        slabs: the same to all slices that disc and margin may meet while the pose keeps its height up to ``slab_m``.
         ball, ray: squared distances (``FieldArrays``).
         groups: (m, 5) few balls that contain the disc, tight in its plane: centre, radius, and the radius that also
             contains the balls of the cover given to it; cover: (n, 4) many balls that contain the disc closely, by
@@ -49,9 +51,11 @@ class Surroundings(NamedTuple):
     """
 
     certificate: NDArray[np.uint8]
-    near: NDArray[np.uint8]
     above: NDArray[np.uint8]
+    unsafe: NDArray[np.uint8]
     few: NDArray[np.float64]
+    widest_m: float
+    slices: NDArray[np.uint8]
     slabs: NDArray[np.uint8]
     slab_m: float
     ball: NDArray[np.uint16]
@@ -78,15 +82,20 @@ def surroundings_of(field: SafetyField, body: ToolBody, margin_m: float | None) 
     lattice = field.arrays.lattice
     cell_m = lattice.stride * lattice.voxel_m
     ball_m, ray_m = field.coarse_clearance_m
-    nothing = np.empty((0, 0, 0), np.uint8)
-    near, above = (nothing, nothing) if margin_m is None else field.fine_clearance
-    slabs, slab_m = (nothing, 0.0) if margin_m is None else field.slabs(body.thickness_m / 2 + margin_m)
+    above = slices = slabs = np.empty((0, 0, 0), np.uint8)
+    slab_m = 0.0
+    if margin_m is not None:
+        above, slices = field.ray_clearance, field.slices
+        slabs, slab_m = field.slabs(body.thickness_m / 2 + margin_m)
     groups, cover, first = _grouped(body)
+    few = _few(body, lattice)
     around = Surroundings(
         certificate=_certificate(ball_m, ray_m, cell_m, *numbers[:3]),
-        near=near,
         above=above,
-        few=_few(body, lattice),
+        unsafe=field.unsafe_bits,
+        few=few,
+        widest_m=float(few[:, 2].max()),
+        slices=slices,
         slabs=slabs,
         slab_m=slab_m,
         ball=field.arrays.ball,
@@ -104,7 +113,7 @@ def surroundings_of(field: SafetyField, body: ToolBody, margin_m: float | None) 
 def _few(body: ToolBody, lattice: Lattice) -> NDArray[np.float64]:
     x, y, _, radius_m = body.disc_balls.T
     flat_m = np.sqrt(np.maximum(radius_m**2 - body.thickness_m**2 / 4, 0.0)) * (1 + 1e-9)
-    return np.ascontiguousarray(np.column_stack([x * lattice.per_m, y * lattice.per_m, radius_m, flat_m]))
+    return np.ascontiguousarray(np.column_stack([x * lattice.per_m, y * lattice.per_m, flat_m]))
 
 
 def _grouped(body: ToolBody) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:

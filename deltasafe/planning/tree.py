@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import kernel
+from deltasafe.compiling import inlined
 
 __all__ = ["START", "SearchTree", "TreeArrays", "attach", "empty_tree", "move", "pose_of", "set_pose"]
 
@@ -68,19 +68,19 @@ def empty_tree(capacity: int) -> TreeArrays:
     )
 
 
-@kernel
+@inlined
 def pose_of(tree, node):  # type: ignore[no-untyped-def]
     """Pose of a node as a tuple."""
     return tree.pose[node, 0], tree.pose[node, 1], tree.pose[node, 2], tree.pose[node, 3]
 
 
-@kernel
+@inlined
 def set_pose(tree, node, pose):  # type: ignore[no-untyped-def]
     """Put a node at a pose, a tuple."""
     tree.pose[node, 0], tree.pose[node, 1], tree.pose[node, 2], tree.pose[node, 3] = pose
 
 
-@kernel
+@inlined
 def attach(tree, node, parent, cost):  # type: ignore[no-untyped-def]
     """Hang a node without parent under another."""
     tree.parent[node], tree.cost[node] = parent, cost
@@ -91,7 +91,7 @@ def attach(tree, node, parent, cost):  # type: ignore[no-untyped-def]
     tree.links[parent, 0] = node
 
 
-@kernel
+@inlined
 def move(tree, node, parent, cost):  # type: ignore[no-untyped-def]
     """Give a node a cheaper parent, and all its descendants what they gain by it."""
     links = tree.links

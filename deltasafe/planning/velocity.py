@@ -57,7 +57,7 @@ class VelocitySettings:
             if not (math.isfinite(value) and value > 0):
                 raise SettingsError(f"{field.name} must be positive, got {value}")
         if self.v_max_mps < self.v_min_mps:
-            raise SettingsError(f"v_max_mps {self.v_max_mps} is below v_min_mps {self.v_min_mps}")
+            raise SettingsError(f"v_max_mps must be at least v_min_mps {self.v_min_mps}, got {self.v_max_mps}")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -41,7 +41,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) > 0):
+            if not (type(getattr(self, name)) is int and getattr(self, name) > 0):
                 raise SettingsError(f"{name} must be a positive number of pixels, got {getattr(self, name)!r}")
         for name in ("fx", "fy", "cx", "cy"):
             if not math.isfinite(getattr(self, name)):
@@ -70,12 +70,14 @@ class Camera:
             found = sorted(value) if isinstance(value, Mapping) else type(value).__name__
             raise SettingsError(f"camera needs exactly the fields {fields}, got {found}")
         try:
+            if any(isinstance(value[name], bool) for name in ("fx", "fy", "cx", "cy")):
+                raise TypeError("true or false")
             numbers: dict[str, Any] = {name: float(value[name]) for name in ("fx", "fy", "cx", "cy")}
             arrays: dict[str, Any] = {
                 name: np.asarray(value[name], dtype=np.float64) for name in ("position_m", "world_from_camera_rotation")
             }
         except (TypeError, ValueError) as error:
-            raise SettingsError(f"camera holds a value that is not a number ({error})") from error
+            raise SettingsError(f"camera must hold numbers, in pixels and metres ({error})") from error
         return cls(width=value["width"], height=value["height"], **numbers, **arrays)
 
     def project(self, points_m: Array) -> tuple[Array, Array]:

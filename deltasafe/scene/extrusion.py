@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import compiled
+from deltasafe.compiling import compiled, kernel
 from deltasafe.errors import SettingsError
 from deltasafe.scene.camera import Camera
 from deltasafe.scene.occupancy import OccupancyGrid
@@ -14,7 +14,7 @@ from deltasafe.scene.occupancy import OccupancyGrid
 __all__ = ["FieldSettings", "grid_from_image"]
 
 LEVELS = 5
-"""Running maxima of 1, 2, 4, 8 and 16 pixels."""
+"""Maxima of squares of 1, 2, 4, 8 and 16 pixels an edge."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +79,7 @@ def grid_from_image(
     columns = np.ceil((seen.max(axis=0) - origin_m[:2]) / settings.voxel_m).astype(int)
     nx, ny = (int(count) for count in columns)
     seen_as = _pinhole(camera)
-    p_occupied = _largest_in_footprints(_running_maxima(image), seen_as, origin_m, settings.voxel_m, nx, ny, layers)
+    p_occupied = _largest_in_footprints(_largest_in_squares(image), seen_as, origin_m, settings.voxel_m, nx, ny, layers)
     return OccupancyGrid(p_occupied, origin_m, settings.voxel_m)
 
 
@@ -93,17 +93,20 @@ def _pinhole(camera: Camera) -> NDArray[np.float64]:
 
 
 @compiled
-def _running_maxima(image):  # type: ignore[no-untyped-def]
-    """(LEVELS, H, W): largest of 2^level pixels of a row, from each one on (fewer at its end)."""
+def _largest_in_squares(image):  # type: ignore[no-untyped-def]
+    """(LEVELS, H, W): largest of 2^level pixels an edge, from each one right and down (fewer at the image's end)."""
     height, width = image.shape
     maxima = np.empty((LEVELS, height, width), np.float32)
     maxima[0] = image
     for level in range(1, LEVELS):
         half = 1 << (level - 1)
         for row in range(height):
+            upper, lower = maxima[level - 1, row], maxima[level - 1, min(row + half, height - 1)]
+            found = maxima[level, row]
             for column in range(width):
-                other = min(column + half, width - 1)
-                maxima[level, row, column] = max(maxima[level - 1, row, column], maxima[level - 1, row, other])
+                found[column] = max(upper[column], lower[column])
+            for column in range(width - half):  # nothing is read that has been written
+                found[column] = max(found[column], found[column + half])
     return maxima
 
 
@@ -133,27 +136,44 @@ def _largest_in_footprints(maxima, seen_as, origin_m, voxel_m, nx, ny, nz):  # t
         near, far = far, near
         _project_plane(seen_as, origin_m[0] + voxel_m * (i + 1), origin_m, voxel_m, far)
         for j in range(ny):
+            level = 0
+            above = _box(near, far, j, 0)
             for k in range(nz):
-                u_low, u_high, v_low, v_high = np.inf, -np.inf, np.inf, -np.inf
-                for dj in range(2):
-                    for dk in range(2):
-                        a, b = near[j + dj, k + dk, 0], far[j + dj, k + dk, 0]
-                        u_low, u_high = min(u_low, a, b), max(u_high, a, b)
-                        a, b = near[j + dj, k + dk, 1], far[j + dj, k + dk, 1]
-                        v_low, v_high = min(v_low, a, b), max(v_high, a, b)
+                below, above = above, _box(near, far, j, k + 1)
+                u_low, u_high = min(below[0], above[0]), max(below[1], above[1])
+                v_low, v_high = min(below[2], above[2]), max(below[3], above[3])
                 if u_low < 0.0 or v_low < 0.0 or u_high > width or v_high > height:
                     continue
                 first, last = int(u_low), min(int(u_high), width - 1)
-                level = 0
-                while level < LEVELS - 1 and 1 << (level + 1) <= last - first + 1:
+                top, bottom = int(v_low), min(int(v_high), height - 1)
+                extent = min(last - first, bottom - top) + 1
+                while level > 0 and 1 << level > extent:
+                    level -= 1
+                while level < LEVELS - 1 and 2 << level <= extent:
                     level += 1
-                step = 1 << level
-                value = np.float32(0.0)
-                for row in range(int(v_low), min(int(v_high), height - 1) + 1):
-                    column = first
-                    while column + step <= last:
-                        value = max(value, maxima[level, row, column])
-                        column += step
-                    value = max(value, maxima[level, row, max(last - step + 1, first)])
-                largest[i, j, k] = value
+                largest[i, j, k] = _largest_in_box(maxima[level], 1 << level, top, bottom, first, last)
     return largest
+
+
+@kernel
+def _box(near, far, j, k):  # type: ignore[no-untyped-def]
+    """Box around the lattice points of a voxel's lower face: least and largest u, least and largest v."""
+    a, b, c, d = near[j, k, 0], near[j + 1, k, 0], far[j, k, 0], far[j + 1, k, 0]
+    e, f, g, h = near[j, k, 1], near[j + 1, k, 1], far[j, k, 1], far[j + 1, k, 1]
+    return min(a, b, c, d), max(a, b, c, d), min(e, f, g, h), max(e, f, g, h)
+
+
+@kernel
+def _largest_in_box(squares, step, top, bottom, first, last):  # type: ignore[no-untyped-def]
+    """Largest of the pixels in a box that holds a square of ``step`` an edge; squares that overlap cover it."""
+    last_row, last_column = bottom - step + 1, last - step + 1
+    value, row = np.float32(0.0), top
+    while True:
+        column = first
+        while column < last_column:
+            value = max(value, squares[row, column])
+            column += step
+        value = max(value, squares[row, last_column])
+        if row == last_row:
+            return value
+        row = min(row + step, last_row)

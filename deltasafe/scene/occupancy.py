@@ -3,11 +3,11 @@
 import dataclasses
 import math
 import pathlib
-import zipfile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.arrays import read_npz
 from deltasafe.compiling import compiled
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.storage import atomic_file
@@ -98,10 +98,11 @@ class OccupancyGrid:
             DataError: the file is missing or holds no such grid.
         """
         try:
-            with np.load(file, allow_pickle=False) as arrays:
-                return cls(arrays["p_occupied"], arrays["origin_m"], float(arrays["voxel_m"]))
-        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-            raise DataError(file, f"is not an occupancy grid ({error})") from error
+            arrays = read_npz(file)
+            return cls(arrays["p_occupied"], arrays["origin_m"], float(arrays["voxel_m"]))
+        except (ValueError, KeyError, TypeError) as error:
+            reason = error.reason if isinstance(error, DataError) else repr(error)
+            raise DataError(file, f"is not an occupancy grid ({reason}); make the occupancy fields again") from error
 
 
 @compiled

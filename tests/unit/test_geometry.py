@@ -56,3 +56,9 @@ def test_speed_is_that_of_the_position_alone():
     trajectory = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 4)), velocities)
     assert trajectory.speed_mps.tolist() == [0.0, 5.0]
     assert trajectory.duration_s == 1.0
+
+
+@pytest.mark.parametrize("far", [(1e300, 0.0, 0.0), (0.0, -2000.0, 0.0), (0.0, 0.0, 0.0, 1e9)])
+def test_a_pose_farther_than_any_robot_is_refused(far):
+    with pytest.raises(SettingsError, match="within 1000 metres"):
+        Pose(*far)

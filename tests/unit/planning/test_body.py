@@ -6,7 +6,7 @@ from scipy.optimize import minimize_scalar
 
 from deltasafe.errors import SettingsError
 from deltasafe.planning import ToolBody
-from deltasafe.planning.body import distance_to_ellipse
+from deltasafe.planning.cover import distance_to_ellipse
 
 BODIES = [
     ToolBody(),

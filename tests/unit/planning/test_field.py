@@ -36,8 +36,8 @@ def test_distances_in_slabs_against_brute_force(seed: int, half: int, reach: int
     rng = np.random.default_rng(seed)
     unsafe = rng.random(rng.integers(1, 9, 3)) < share
     squared = squared_distance_in_slabs(unsafe, half, reach)
-    assert squared.shape == (unsafe.shape[2], *unsafe.shape[:2])
-    for k, found in enumerate(squared):
+    assert squared.shape == unsafe.shape
+    for k, found in enumerate(squared.transpose(2, 0, 1)):
         slab = unsafe[:, :, max(k - half, 0) : k + half + 1].any(axis=2)
         cells = np.argwhere(slab)
         centres = np.argwhere(np.ones_like(slab)) + 0.5

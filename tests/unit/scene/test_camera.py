@@ -44,7 +44,7 @@ def test_points_behind_the_camera_have_no_pixel() -> None:
     [
         ({"fx": -1.0}, "focal"),
         ({"width": 0}, "width"),
-        ({"cx": "a"}, "not a number"),
+        ({"cx": "a"}, "must hold numbers"),
         ({"position_m": [0, 0]}, "position_m"),
         ({"world_from_camera_rotation": np.eye(3).tolist()[::-1]}, "rotation"),
         ({"extra": 1}, "extra"),

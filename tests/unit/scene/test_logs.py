@@ -54,6 +54,11 @@ def test_a_scene_is_read_as_it_was_logged(tmp_path: pathlib.Path) -> None:
         ({"image": "../image.jpg"}, "image must be the name"),
         ({"image": "other.jpg"}, "is missing"),
         ({"camera": {}}, "camera"),
+        ({"id": ".."}, "id must be a name"),
+        ({"hand_height_m": 70.0}, "less than the camera's height"),
+        ({"table_z_m": 1.0}, "above the table"),
+        ({"start": {"position_m": [-150, 0, 30], "yaw_rad": 0}}, "metres and radians"),
+        ({"goal": POSE | {"yaw_rad": 90.0}}, "metres and radians"),
         ({"ground_truth": {"mask": "hand_mask.png"}}, "mesh is missing"),
     ],
 )
