@@ -5,6 +5,8 @@ import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
+from deltasafe.errors import SettingsError
+
 __all__ = ["Registry", "Store", "Tracker", "TrainedMember"]
 
 
@@ -15,13 +17,21 @@ class Store:
     Attributes:
         home: `$DELTASAFE_HOME`.
         datasets: the packaged inputs, immutable.
+        refused: why nothing may be made in this run; empty if it may.
     """
 
     home: pathlib.Path
     datasets: pathlib.Path
+    refused: str = ""
 
     def folder(self, asset: str, name: str) -> pathlib.Path:
-        """Folder of one version of an asset; the caller writes it atomically."""
+        """Folder of one version of an asset; the caller writes it atomically.
+
+        Raises:
+            SettingsError: the name, which may come from a partition's, would lead out of the asset's folder.
+        """
+        if pathlib.PurePath(name).name != name or name in ("", "..") or not name.isprintable():
+            raise SettingsError(f"{name!r:.80} cannot be the name of a folder; give one without slashes")
         return self.home / "store" / asset / name
 
     def dataset(self, chosen: str, packaged: str) -> tuple[pathlib.Path, pathlib.Path | None]:

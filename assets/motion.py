@@ -8,7 +8,7 @@ from assets.config import configurable
 from assets.interfaces import Store
 from assets.operation import ALL_CORES, ON_NEW_DATA, TWICE_MORE, fails_for_good
 from assets.progress import progress_of
-from assets.reporting import Metadata, folder_facts, inline_picture
+from assets.reporting import Metadata, folder_facts, inline_picture, readable, with_opening
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -119,19 +119,20 @@ def planned_motions(
 ) -> dg.Output[pathlib.Path]:
     """A delta-safe path by SCC-RRT* and a velocity schedule for each scene, or the reason why there is none."""
     from deltasafe.perception.calibration import Calibration
-    from deltasafe.storage import read_json
     from deltasafe.trials.motions import plan_scenes
     from deltasafe.trials.selection import load_selection
 
-    calibration = Calibration(**read_json(champion / "calibration.json"))
+    calibration = Calibration.load(champion / "calibration.json")
     scenes, settings = load_selection(logged_scenes), config.motion.settings()
     folder, progress = store.folder("planned_motions", context.run_id[:8]), progress_of(context, every_s=2.0)
     motions = plan_scenes(scenes, occupancy_fields, folder, settings, calibration, config.first_seed, progress)
     first = next((name for name, motion in motions.items() if motion.is_safe), scenes[0].id)
+    reasons = {name: motion.reason for name, motion in motions.items() if not motion.is_safe}
     metadata: Metadata = {
-        "scenes": len(scenes),
-        "with a safe motion": sum(motion.is_safe for motion in motions.values()),
         "first motion": inline_picture(folder / first / "plan.png"),
+        "scenes": len(scenes),
+        "with a safe motion": len(scenes) - len(reasons),
+        **({"why not": reasons} if reasons else {}),
         **folder_facts(folder),
     }
     return dg.Output(folder, metadata=metadata)
@@ -172,7 +173,12 @@ def executed_motions(
     )
     executed = sum(outcome.executed for outcome in outcomes)
     reasons = {outcome.scene_id: outcome.reason for outcome in outcomes if not outcome.executed}
-    metadata = {"executed": executed, "not executed": len(reasons), "why not": reasons, **folder_facts(folder)}
+    metadata = {
+        "executed": executed,
+        "not executed": len(reasons),
+        **({"why not": reasons} if reasons else {}),
+        **folder_facts(folder),
+    }
     return dg.Output(folder, metadata=metadata)
 
 
@@ -211,11 +217,11 @@ def safety_report(
     executed = folder / "executed.jpg"
     film = next((inline_picture(folder / scene.film, 20_000) for scene in report.scenes if scene.film), None)
     metadata: Metadata = {
-        "report": dg.MetadataValue.md((folder / "summary.md").read_text(encoding="utf-8")),
+        **with_opening(folder / "summary.md"),
         "plans": inline_picture(folder / "plans.jpg", 35_000),
         **({"executed": inline_picture(executed, 35_000)} if executed.is_file() else {}),
         **({} if film is None else {"film": film}),
-        **report.figures(),
+        **readable(report.figures()),
         **folder_facts(folder),
     }
     return dg.Output(folder, metadata=metadata)

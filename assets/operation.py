@@ -6,7 +6,8 @@ from typing import ParamSpec, TypeVar
 
 import dagster as dg
 
-from deltasafe.errors import DeltasafeError
+from assets.interfaces import Store
+from deltasafe.errors import DeltasafeError, WorkerLostError
 
 __all__ = ["ALL_CORES", "ON_NEW_ASSET", "ON_NEW_DATA", "TWICE_MORE", "fails_for_good"]
 
@@ -42,12 +43,21 @@ ON_NEW_ASSET = _Condition.eager().with_label("what it checks has been made")
 
 
 def fails_for_good(made: Callable[P, T]) -> Callable[P, T]:
-    """Wrong input and wrong settings fail at once: another try would end in the same words."""
+    """Wrong input and wrong settings fail at once: another try would end in the same words.
+
+    A run that its store refuses ends here as well, before anything is computed. An error in the resource itself would
+    be taken for bad luck, and tried again.
+    """
 
     @functools.wraps(made)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
+        for store in (given for given in (*args, *kwargs.values()) if isinstance(given, Store)):
+            if store.refused:
+                raise dg.Failure(store.refused, allow_retries=False)
         try:
             return made(*args, **kwargs)
+        except WorkerLostError:
+            raise
         except DeltasafeError as error:
             raise dg.Failure(f"{type(error).__name__}: {error}", allow_retries=False) from error
 

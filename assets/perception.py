@@ -10,8 +10,16 @@ from assets.interfaces import Registry, Store, Tracker
 from assets.operation import ALL_CORES, TWICE_MORE, fails_for_good
 from assets.progress import progress_of
 from assets.promotion import NOT_WORSE, not_worse, verdict_table
-from assets.reporting import folder_facts, inline_jpeg, inline_picture, inline_report, page_link
+from assets.reporting import (
+    folder_facts,
+    inline_jpeg,
+    inline_picture,
+    page_link,
+    readable,
+    with_opening,
+)
 from deltasafe import presets
+from deltasafe.engine import Engine
 
 if TYPE_CHECKING:
     from deltasafe.perception.hands import HandSet
@@ -72,7 +80,7 @@ def _checked(config: HandsConfig, store: Store, packaged: str) -> dg.Output[path
     folder, registry = store.dataset(config.folder, packaged)
     hands = HandSet.load(folder, registry)
     sheet = inline_jpeg(labelled_sheet(hands), "labelled images")
-    metadata = {"some of them": sheet, "images": len(hands), **folder_facts(folder, hands.digest)}
+    metadata = {"some of them": sheet, "images": len(hands), **folder_facts(folder, hands.digest[:16])}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))
 
 
@@ -117,7 +125,7 @@ def augmented_hands(
     made = write_augmented_set(hands, backgrounds, settings, folder, workers=config.workers, progress=progress)
     sheet = folder.with_name(f"{folder.name}-sheet.png")
     contact_sheet(hands, made, sheet)
-    metadata = {"contact sheet": inline_picture(sheet), "images": made.n, **folder_facts(folder, made.digest)}
+    metadata = {"contact sheet": inline_picture(sheet), "images": made.n, **folder_facts(folder, made.digest[:16])}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(made.digest[:16]))
 
 
@@ -138,14 +146,16 @@ def ensemble_member(
     augmented_hands: pathlib.Path,
     store: dg.ResourceParam[Store],
     tracker: dg.ResourceParam[Tracker],
+    engine: dg.ResourceParam[Engine],
 ) -> dict[str, pathlib.Path]:
     """Networks trained independently: own random head, own shuffling. An interrupted training is resumed."""
-    from assets.training import train_and_record
+    from assets.training import Training, train_and_record
 
     everyone = members.get_partition_keys()
     seeds = {name: config.first_seed + everyone.index(name) for name in sorted(context.partition_keys)}
     settings = config.training.settings()
-    return train_and_record(context, seeds, augmented_hands, settings, config.device, config.workers, store, tracker)
+    where = Training(config.device, config.workers, engine)
+    return train_and_record(context, seeds, augmented_hands, settings, where, store, tracker)
 
 
 @dg.asset(
@@ -186,7 +196,7 @@ def calibration_report(
         calibration=_calibration_set(config.calibration_folder, raw_hands),
     )
     page = tracker.report(trained[0].ensemble_identity, report.figures(), folder, {"test hands": test.digest})
-    metadata = {"report": inline_report(folder / "report.md"), **report.figures(), **page_link(page)}
+    metadata = {**with_opening(folder / "report.md"), **readable(report.figures()), **page_link(page)}
     version = dg.DataVersion(sha256_of_file(folder / "report.json")[:16])
     return dg.Output(folder, metadata={**metadata, **folder_facts(folder)}, data_version=version)
 

@@ -10,6 +10,7 @@ from assets.operation import ALL_CORES, fails_for_good
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture
 from deltasafe import presets
+from deltasafe.engine import Engine
 from deltasafe.errors import SettingsError
 
 PRESET = presets.active()
@@ -46,6 +47,7 @@ def safety_trials(
     config: TrialsConfig,
     store: dg.ResourceParam[Store],
     registry: dg.ResourceParam[Registry],
+    engine: dg.ResourceParam[Engine],
 ) -> dg.Output[pathlib.Path]:
     """Motions planned and executed: ours, single members, no schedule, the compared methods, at every delta."""
     from deltasafe.safety_study import StudyInputs, run_study
@@ -56,7 +58,7 @@ def safety_trials(
         raise SettingsError("there is no ensemble in use yet: make one with `make demo`, or name a frozen one")
     inputs = StudyInputs.gather(folders, ensemble, config.n_scenes)
     batches = store.folder("safety_trials", "batches")
-    found = run_study(config.study.settings(), inputs, batches, config.workers, progress_of(context))
+    found = run_study(config.study.settings(), inputs, batches, config.workers, progress_of(context), engine)
     folder = store.folder("safety_trials", context.run.run_id[:8])
     found.save(folder)
     counts = {"executed": int(found.executed.sum()), "trials": len(found.executed), "minutes": found.effort.minutes}

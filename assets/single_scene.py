@@ -8,7 +8,7 @@ from assets.interfaces import Store
 from assets.motion import ExecutionConfig, FieldConfig, PlannerConfig
 from assets.operation import ALL_CORES, TWICE_MORE, fails_for_good
 from assets.progress import progress_of
-from assets.reporting import Metadata, folder_facts, inline_picture
+from assets.reporting import Metadata, folder_facts, inline_picture, readable, with_opening
 
 GROUP = "single_scene"
 OWNERS = ["team:motion"]
@@ -106,8 +106,8 @@ def scene_execution(
     report = execute_scene(
         logged_scene, scene_motion, folder, config.execution.settings(), config.seed, progress_of(context)
     )
-    summary = dg.MetadataValue.md((folder / "report" / "summary.md").read_text(encoding="utf-8"))
-    return dg.Output(folder, metadata={"report": summary, **report.figures(), **folder_facts(folder)})
+    shown = {**with_opening(folder / "report" / "summary.md"), **readable(report.figures())}
+    return dg.Output(folder, metadata={**shown, **folder_facts(folder)})
 
 
 @dg.asset_check(
@@ -137,5 +137,6 @@ def execution_of_the_scene_was_safe(scene_execution: pathlib.Path) -> dg.AssetCh
     from deltasafe.trials.safety_report import read_figures
 
     figures = read_figures(scene_execution / "report")
-    passed = figures["contacts"] == 0 and figures["scenes_safe"] == figures["scenes_executed"]
-    return dg.AssetCheckResult(passed=passed, metadata=figures)
+    safe, executed, contacts = (int(figures[name]) for name in ("scenes_safe", "scenes_executed", "contacts"))
+    found = f"{safe} of {executed} motions were safe; contacts with hand or table: {contacts}"
+    return dg.AssetCheckResult(passed=contacts == 0 and safe == executed, description=found, metadata=readable(figures))

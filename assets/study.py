@@ -8,17 +8,18 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Store, Tracker
-from assets.operation import ALL_CORES
+from assets.operation import ALL_CORES, fails_for_good
 from assets.progress import progress_of
 from assets.reporting import Metadata, inline_report, page_link
 from deltasafe import presets
+from deltasafe.engine import LOCAL, Engine
 
 if TYPE_CHECKING:
     from deltasafe.perception.study.study import Study
     from deltasafe.perception.training import StepReport
 
 PRESET = presets.active()
-GROUP = "study"
+GROUP = "perception_study"
 OWNERS = ["team:perception"]
 
 # a scheme at a size, or our scheme without one method; in the order of work
@@ -42,7 +43,9 @@ class CellConfig(dg.Config):
     workers: int = 0
 
 
-def open_study(config: CellConfig, train: pathlib.Path, test: pathlib.Path, store: Store) -> "Study":
+def open_study(
+    config: CellConfig, train: pathlib.Path, test: pathlib.Path, store: Store, engine: Engine = LOCAL
+) -> "Study":
     """The study of the active preset; the command line opens it here as well, so both find the same work."""
     from deltasafe.perception.hands import HandSet
     from deltasafe.perception.study.store import StudyStore
@@ -60,6 +63,7 @@ def open_study(config: CellConfig, train: pathlib.Path, test: pathlib.Path, stor
         store=StudyStore(store.home / "store"),
         device=config.device,
         workers=config.workers,
+        engine=engine,
     )
 
 
@@ -72,6 +76,7 @@ def open_study(config: CellConfig, train: pathlib.Path, test: pathlib.Path, stor
     backfill_policy=dg.BackfillPolicy.single_run(),
     pool=ALL_CORES,
 )
+@fails_for_good
 def study_cell(
     context: dg.AssetExecutionContext,
     config: CellConfig,
@@ -79,9 +84,10 @@ def study_cell(
     test_hands: pathlib.Path,
     store: dg.ResourceParam[Store],
     tracker: dg.ResourceParam[Tracker],
+    engine: dg.ResourceParam[Engine],
 ) -> dict[str, pathlib.Path]:
     """An ensemble for each scheme and size, all with the same number of gradient steps, judged on the test images."""
-    study, made = open_study(config, raw_hands, test_hands, store), {}
+    study, made = open_study(config, raw_hands, test_hands, store, engine), {}
     for cell in study.settings.cells():
         if cell.name in context.partition_keys:
             report = study.judge(cell, _steps_of(context), progress_of(context))
@@ -97,6 +103,7 @@ _FINISHED = {"study_cell": dg.AssetIn(metadata={"allow_missing_partitions": True
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1", ins=_FINISHED)
+@fails_for_good
 def augmentation_tables(
     context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
@@ -105,6 +112,7 @@ def augmentation_tables(
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1", ins=_FINISHED)
+@fails_for_good
 def ensemble_size(
     context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
@@ -113,6 +121,7 @@ def ensemble_size(
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1", ins=_FINISHED)
+@fails_for_good
 def augmentation_ablation(
     context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:

@@ -10,6 +10,7 @@ from assets.operation import ALL_CORES, fails_for_good
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture
 from deltasafe import presets
+from deltasafe.engine import Engine
 
 PRESET = presets.active()
 GROUP = "tracking_study"
@@ -28,13 +29,16 @@ class TrackingConfig(dg.Config):
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"bullet", "numba"}, code_version="1", pool=ALL_CORES)
 @fails_for_good
 def tracking_bound(
-    context: dg.AssetExecutionContext, config: TrackingConfig, store: dg.ResourceParam[Store]
+    context: dg.AssetExecutionContext,
+    config: TrackingConfig,
+    store: dg.ResourceParam[Store],
+    engine: dg.ResourceParam[Engine],
 ) -> dg.Output[pathlib.Path]:
     """The tracking error of test motions over the workspace, a tolerance bound from it, and its held-out coverage."""
     from deltasafe.tracking_study import run_study, write_tracking_report
 
     batches = store.folder("tracking_bound", "batches")
-    study = run_study(config.study.settings(), batches, config.workers, progress_of(context))
+    study = run_study(config.study.settings(), batches, config.workers, progress_of(context), engine)
     folder = store.folder("tracking_bound", context.run_id[:8])
     study.save(folder)
     report = folder.with_name(f"{folder.name}-report")

@@ -9,9 +9,19 @@ import dagster as dg
 from assets.interfaces import Store, Tracker, TrainedMember
 from assets.progress import progress_of
 from assets.reporting import folder_facts, inline_picture, page_link
+from deltasafe.engine import Engine
 from deltasafe.perception.settings import TrainingSettings
 
-__all__ = ["train_and_record"]
+__all__ = ["Training", "train_and_record"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Training:
+    """Where members are trained, and how many side by side."""
+
+    device: str
+    workers: int
+    engine: Engine
 
 
 def train_and_record(
@@ -19,8 +29,7 @@ def train_and_record(
     seeds: Mapping[str, int],
     augmented: pathlib.Path,
     settings: TrainingSettings,
-    device: str,
-    workers: int,
+    where: Training,
     store: Store,
     tracker: Tracker,
 ) -> dict[str, pathlib.Path]:
@@ -47,7 +56,15 @@ def train_and_record(
         text = f"{name}: epoch {step.epoch} of {settings.epochs}, loss {step.loss:.3f}"
         said[name](step.step, step.n_steps, f"{text}, {step.images_per_s:.1f} images/s, {left_min:.1f} min left")
 
-    trained = train_members(jobs, augmented, settings, device=device, workers=workers, on_step=on_step)
+    trained = train_members(
+        jobs,
+        augmented,
+        settings,
+        device=where.device,
+        workers=where.workers,
+        on_step=on_step,
+        engine=where.engine,
+    )
     for name, member in trained.items():
         losses, curve, per_epoch = member.losses, member.folder / "loss.png", member.record["steps_per_epoch"]
         loss_curves({name: losses}, per_epoch, curve)
@@ -63,9 +80,14 @@ def train_and_record(
                 curve,
             ),
         )
-        final = sum(losses[-20:]) / len(losses[-20:])
-        metadata = {"loss": inline_picture(curve), "final loss": final, "steps": len(losses), "seed": member.seed}
-        facts = folder_facts(member.folder, member.record["weights_sha256"])
+        final = round(sum(losses[-20:]) / len(losses[-20:]), 4)
+        metadata = {
+            "loss": inline_picture(curve),
+            "final loss": final,
+            "steps": len(losses),
+            "seed": member.seed,
+        }
+        facts = folder_facts(member.folder, member.record["weights_sha256"][:16])
         context.add_asset_metadata({**metadata, **page_link(page), **facts}, partition_key=name)
         context.log.info(f"{name}: finished after {len(losses)} steps, loss {final:.3f}")
     return {name: member.folder for name, member in trained.items()}

@@ -1,8 +1,7 @@
 """Work in batches that are files: finished ones are found again, the others are done side by side."""
 
-import concurrent.futures
+import contextlib
 import dataclasses
-import multiprocessing
 import pathlib
 import time
 import zipfile
@@ -12,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.engine import LOCAL, Engine, Task
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.progress import Progress, silent
 from deltasafe.storage import atomic_file, digest_of, sha256_of_file
@@ -26,7 +26,7 @@ class Effort:
     """What all batches took, those included that were found.
 
     Attributes:
-        minutes: by the clock if all were made in one go; else the sum over batches by the number of workers.
+        minutes: by the clock if all were made in one go; else the sum over batches by how many are done side by side.
         cpu_minutes: of all processes together, without their start.
     """
 
@@ -42,6 +42,7 @@ def run_batches(
     progress: Progress = silent,
     *,
     made_by: Sequence[str] = ("**/*.py",),
+    engine: Engine = LOCAL,
 ) -> tuple[list[Batch], Effort]:
     """``work(*arguments)`` for every job ``(name, arguments)``, in the order of the jobs, and what that took.
 
@@ -53,6 +54,11 @@ def run_batches(
         workers: processes; with one, the work is done in this process.
         made_by: sources of this package (glob patterns) that decide what a batch holds, all of them by default;
             whatever else does is among the arguments.
+        engine: where the work is done.
+
+    Raises:
+        WorkerLostError: names a batch whose process was lost again and again.
+        DataError: a file is there and is no batch.
     """
     if workers < 1:
         raise SettingsError(f"workers must be at least 1, got {workers}")
@@ -70,24 +76,17 @@ def run_batches(
         minutes = (time.monotonic() - began_s) / (done - found) * (len(jobs) - done) / 60
         return f"{name}; about {minutes:.0f} min left" if done < len(jobs) else name
 
-    tasks = [(work, files[index], jobs[index][1]) for index in missing]
-    if workers == 1 or len(tasks) <= 1:
-        for index, task in zip(missing, tasks, strict=True):
-            _store(*task)
+    tasks = [Task(jobs[index][0], _timed, (work, jobs[index][1])) for index in missing]
+    with contextlib.closing(engine.run(tasks, workers)) as finished:
+        for position, arrays in finished:
+            with atomic_file(files[missing[position]]) as temporary:
+                np.savez_compressed(temporary, **arrays)
             done += 1
-            progress(done, len(jobs), left(jobs[index][0]))
-    else:
-        context = multiprocessing.get_context("spawn")
-        with concurrent.futures.ProcessPoolExecutor(min(workers, len(tasks)), mp_context=context) as pool:
-            waiting = {pool.submit(_store, *task): jobs[index][0] for index, task in zip(missing, tasks, strict=True)}
-            for future in concurrent.futures.as_completed(waiting):
-                future.result()
-                done += 1
-                progress(done, len(jobs), left(waiting[future]))
+            progress(done, len(jobs), left(tasks[position].name))
     batches = [_read(file) for file in files]
     minutes = (time.monotonic() - began_s) / 60
     if len(missing) < len(jobs):
-        minutes = sum(float(batch["wall_s"]) for batch in batches) / 60 / workers
+        minutes = sum(float(batch["wall_s"]) for batch in batches) / 60 / engine.width(workers)
     return batches, Effort(minutes, sum(float(batch["cpu_s"]) for batch in batches) / 60)
 
 
@@ -97,12 +96,11 @@ def _digest_of_sources(made_by: Sequence[str]) -> str:
     return digest_of([[file.relative_to(root).as_posix(), sha256_of_file(file)] for file in files])
 
 
-def _store(work: Callable[..., Batch], file: pathlib.Path, arguments: tuple[Any, ...]) -> None:
+def _timed(work: Callable[..., Batch], arguments: tuple[Any, ...]) -> dict[str, NDArray[Any]]:
     wall_s, cpu_s = time.monotonic(), time.process_time()
     arrays = dict(work(*arguments))
     arrays["wall_s"], arrays["cpu_s"] = np.array(time.monotonic() - wall_s), np.array(time.process_time() - cpu_s)
-    with atomic_file(file) as temporary:
-        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
+    return arrays
 
 
 def _read(file: pathlib.Path) -> Batch:

@@ -1,4 +1,4 @@
-"""A frozen ensemble on the command line (`verify`, `predict`), and logs for robotics viewers (`export`, `import`)."""
+"""A frozen ensemble on the command line (`verify`, `sign`, `predict`), and logs for robotics viewers."""
 
 import argparse
 import pathlib
@@ -15,6 +15,10 @@ def main(arguments: list[str] | None = None) -> int:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     verify = commands.add_parser("verify", help="check that a frozen ensemble is intact and works here")
     verify.add_argument("folder", type=pathlib.Path, help="folder of the frozen ensemble")
+    verify.add_argument("--public-key", type=pathlib.Path, metavar="PEM", help="of whoever must have signed it")
+    sign = commands.add_parser("sign", help="sign a frozen ensemble; writes FOLDER.sig beside it")
+    sign.add_argument("folder", type=pathlib.Path, help="folder of the frozen ensemble")
+    sign.add_argument("--key", type=pathlib.Path, metavar="PEM", required=True, help="private key, of curve P-256")
     predict = commands.add_parser("predict", help="write the occupancy probability of an image")
     predict.add_argument("folder", type=pathlib.Path, help="folder of the frozen ensemble")
     predict.add_argument("image", type=pathlib.Path, help="picture of any size (PNG, JPEG, ...)")
@@ -38,7 +42,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         if options.command == "verify":
-            _verify(options.folder)
+            _verify(options.folder, options.public_key)
+        elif options.command == "sign":
+            _sign(options.folder, options.key)
         elif options.command == "export":
             _export(options.folder, options.log, options.scene)
         elif options.command == "import":
@@ -48,14 +54,23 @@ def main(arguments: list[str] | None = None) -> int:
                 parser.error(f"--delta must lie in (0, 1), got {options.delta}")
             _predict(options.folder, options.image, options.output, options.delta)
     except DeltasafeError as error:
-        print(f"deltasafe: {error}", file=sys.stderr)
+        print(f"deltasafe: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"deltasafe: {place}{error.strerror or error}; free it, or give another place", file=sys.stderr)
         return 1
     return 0
 
 
-def _verify(folder: pathlib.Path) -> None:
+def _verify(folder: pathlib.Path, public_key: pathlib.Path | None) -> None:
     from deltasafe.perception.artifact import golden_difference, load_ensemble
 
+    if public_key is not None:
+        from deltasafe.perception.signature import verify_signature
+
+        verify_signature(folder, public_key)
+        print(f"{folder}: signed with the private half of {public_key}")
     ensemble = load_ensemble(folder)
     difference = golden_difference(ensemble)
     files = len(ensemble.manifest["files"])
@@ -63,6 +78,12 @@ def _verify(folder: pathlib.Path) -> None:
     print(f"{folder}: {files} files intact, M = {len(ensemble)}")
     print(f"golden image answered within {difference:.1e} in probability")
     print(f"smallest supported delta: {'none' if supported is None else f'{supported:g}'}")
+
+
+def _sign(folder: pathlib.Path, key: pathlib.Path) -> None:
+    from deltasafe.perception.signature import sign_artifact
+
+    print(f"{sign_artifact(folder, key)}: belongs beside the folder; pass on both")
 
 
 def _export(folder: pathlib.Path, log: pathlib.Path, around: pathlib.Path | None) -> None:

@@ -2,7 +2,16 @@
 
 import pathlib
 
-__all__ = ["ArtifactError", "DataError", "DeltasafeError", "PlanningError", "SettingsError", "StaleImageError"]
+__all__ = [
+    "ArtifactError",
+    "DataError",
+    "DeltasafeError",
+    "PlanningError",
+    "SettingsError",
+    "StaleImageError",
+    "WorkerLostError",
+    "WriteError",
+]
 
 
 class DeltasafeError(Exception):
@@ -13,11 +22,11 @@ class SettingsError(DeltasafeError, ValueError):
     """A setting is outside its domain."""
 
 
-class DataError(DeltasafeError, ValueError):
-    """A file or folder given as input is unusable.
+class _PathError(DeltasafeError):
+    """About a file or folder.
 
     Attributes:
-        path: the offending file or folder.
+        path: the file or folder.
         reason: what is wrong with it and what to do.
     """
 
@@ -30,8 +39,16 @@ class DataError(DeltasafeError, ValueError):
         return type(self), (self.path, self.reason)
 
 
+class DataError(_PathError, ValueError):
+    """A file or folder given as input is unusable."""
+
+
 class ArtifactError(DataError):
     """A frozen ensemble is incomplete, altered, or of a format that this version cannot read."""
+
+
+class WriteError(_PathError, OSError):
+    """A file or folder cannot be written; what was there before is as it was."""
 
 
 class PlanningError(DeltasafeError, ValueError):
@@ -40,3 +57,7 @@ class PlanningError(DeltasafeError, ValueError):
 
 class StaleImageError(DeltasafeError, RuntimeError):
     """The image that a motion was planned from no longer shows the scene, or may not; take a new one and plan again."""
+
+
+class WorkerLostError(DeltasafeError, RuntimeError):
+    """A process that did a part of the work was lost again and again; what is finished is kept, and found."""

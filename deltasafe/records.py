@@ -22,6 +22,8 @@ def from_json(kind: Any, value: Any) -> Any:
             raise ValueError(f"expected a list, got {value!r}")
         return tuple(from_json(arguments[0], item) for item in value)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        if not isinstance(value, dict):
+            raise ValueError(f"expected an object, got {value!r:.60}")
         hints = typing.get_type_hints(kind)
         unknown = sorted(set(value) - set(hints))
         if unknown:

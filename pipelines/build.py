@@ -16,8 +16,10 @@ import assets.study
 import assets.tracking_study
 from pipelines import jobs
 from pipelines.console import progress_console
+from pipelines.engines import EngineResource, steps_on_ray
 from pipelines.home import DATASETS, home
 from pipelines.io import FolderPointers
+from pipelines.machines import with_machine
 from pipelines.resources import RegistryResource, StoreResource, TrackerResource
 from pipelines.sensors import all_sensors
 
@@ -36,6 +38,9 @@ def build_defs(
         root: `$DELTASAFE_HOME` unless given.
         overrides: resources by key that replace the usual ones (tests pass a tracker in memory).
         max_concurrent: steps that run side by side.
+
+    Raises:
+        SettingsError: the environment asks for an engine that there is not.
     """
     root = root or home()
     resources: dict[str, Any] = {
@@ -43,8 +48,9 @@ def build_defs(
         "store": StoreResource(home=str(root), datasets=str(DATASETS)),
         "tracker": TrackerResource(home=str(root)),
         "registry": RegistryResource(home=str(root)),
+        "engine": EngineResource.chosen(),
     }
-    executor = dg.multiprocess_executor.configured(
+    executor = steps_on_ray() or dg.multiprocess_executor.configured(
         {"max_concurrent": max_concurrent, "start_method": {"forkserver": {"preload_modules": _PRELOADED}}}
     )
     return dg.Definitions(
@@ -65,7 +71,7 @@ def build_defs(
             jobs.perception,
             jobs.planning,
             jobs.single_scene,
-            jobs.study,
+            jobs.perception_study,
             jobs.planner_study,
             jobs.safety_study,
             jobs.tracking_study,
@@ -73,6 +79,6 @@ def build_defs(
         schedules=[jobs.retraining],
         sensors=all_sensors(root),
         resources={**resources, **(overrides or {})},
-        executor=executor,
+        executor=with_machine(executor),
         loggers={"console": progress_console},
     )

@@ -1,12 +1,12 @@
-"""Where the values of assets are: a pointer file an asset (and partition) to the folder that it wrote."""
+"""Where the values of assets are: a pointer an asset (and partition) to the folder that it wrote."""
 
 import pathlib
 from typing import Any
 
 import dagster as dg
 
-from deltasafe.errors import DataError
-from deltasafe.storage import read_json, write_json
+from deltasafe.lifeline import end_with_parent
+from pipelines.places import Places, places_of
 
 __all__ = ["FolderPointers"]
 
@@ -16,10 +16,15 @@ class FolderPointers(dg.ConfigurableIOManager):
 
     A pointer is replaced only after its folder is complete, so a reader sees the old version or the new one.
     A partitioned asset returns `dict[partition, path]` and is read in the same form; who reads it with the
-    metadata `allow_missing_partitions` gets those that were made.
+    metadata `allow_missing_partitions` gets those that were made. Where `$DELTASAFE_STORE` is set, folders are uploaded
+    before they are pointed at, and fetched where they are read.
     """
 
     home: str
+
+    def setup_for_execution(self, context: dg.InitResourceContext) -> None:
+        """Every step comes by here: its process must not outlive that of its run."""
+        end_with_parent()
 
     def handle_output(self, context: dg.OutputContext, obj: Any) -> None:
         if obj is None:
@@ -32,9 +37,10 @@ class FolderPointers(dg.ConfigurableIOManager):
         self, asset_key: dg.AssetKey, folder: pathlib.Path, partition: str | None = None, run_id: str | None = None
     ) -> None:
         """Remember ``folder`` as the value of an asset, as made by ``run_id`` or by a person."""
-        pointer = {"folder": self._relative(folder), "run_id": run_id}
-        for scope in {run_id, None}:
-            write_json(self._pointer(asset_key, partition, scope), pointer)
+        places = self._places()
+        pointer = {**places.put(folder), "run_id": run_id}
+        for scope in dict.fromkeys((run_id, None)):
+            places.write(_pointer(asset_key, partition, scope), pointer)
 
     def load_input(self, context: dg.InputContext) -> Any:
         run_id = context.step_context.run_id
@@ -42,7 +48,8 @@ class FolderPointers(dg.ConfigurableIOManager):
             return self.folder(context.asset_key, run_id=run_id)
         keys = sorted(context.asset_partition_keys)
         if context.definition_metadata.get("allow_missing_partitions", False):
-            keys = [key for key in keys if self._pointer(context.asset_key, key).is_file()]
+            places = self._places()
+            keys = [key for key in keys if places.read(_pointer(context.asset_key, key)) is not None]
         return {key: self.folder(context.asset_key, key, run_id) for key in keys}
 
     def folder(self, asset_key: dg.AssetKey, partition: str | None = None, run_id: str | None = None) -> pathlib.Path:
@@ -54,24 +61,17 @@ class FolderPointers(dg.ConfigurableIOManager):
             DataError: there is none, or it was removed.
         """
         name = asset_key.to_user_string() + (f" [{partition}]" if partition else "")
-        pointer = self._pointer(asset_key, partition, run_id)
-        if run_id is None or not pointer.is_file():
-            pointer = self._pointer(asset_key, partition)
-        if not pointer.is_file():
-            raise DataError(pointer, f"is missing: materialise {name} first")
-        folder = pathlib.Path(self.home) / read_json(pointer)["folder"]
-        if not folder.exists():
-            raise DataError(folder, f"was removed: materialise {name} again")
-        return folder
+        places, current = self._places(), _pointer(asset_key, partition)
+        entry = places.read(_pointer(asset_key, partition, run_id)) if run_id else None
+        entry = entry or places.read(current)
+        if entry is None:
+            raise places.missing(current, f"is missing: materialise {name} first")
+        return places.take(entry, f"materialise {name} again")
 
-    def _pointer(self, asset_key: dg.AssetKey, partition: str | None, run_id: str | None = None) -> pathlib.Path:
-        root = pathlib.Path(self.home, "pointers", *(("runs", run_id) if run_id else ("current",)))
-        base = root.joinpath(*asset_key.path)
-        return base / f"{partition}.json" if partition else base.with_suffix(".json")
+    def _places(self) -> Places:
+        return places_of(pathlib.Path(self.home))
 
-    def _relative(self, folder: pathlib.Path) -> str:
-        """Relative to the home where it lies below it, so that a home can be moved."""
-        try:
-            return folder.resolve().relative_to(pathlib.Path(self.home).resolve()).as_posix()
-        except ValueError:
-            return folder.resolve().as_posix()
+
+def _pointer(asset_key: dg.AssetKey, partition: str | None, run_id: str | None = None) -> str:
+    scope = ("runs", run_id) if run_id else ("current",)
+    return "/".join((*scope, *asset_key.path, *((partition,) if partition else ())))

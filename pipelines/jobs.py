@@ -16,12 +16,12 @@ __all__ = [
     "UNATTENDED_VARIABLE",
     "everything",
     "perception",
+    "perception_study",
     "planner_study",
     "planning",
     "retraining",
     "safety_study",
     "single_scene",
-    "study",
     "tracking_study",
 ]
 
@@ -65,9 +65,9 @@ single_scene = dg.define_asset_job(
     description="One newly logged scene with the ensemble in use: seen, planned, executed, judged.",
 )
 
-study = dg.define_asset_job(
-    "study",
-    dg.AssetSelection.groups("study") | dg.AssetSelection.assets("raw_hands", "test_hands"),
+perception_study = dg.define_asset_job(
+    "perception_study",
+    dg.AssetSelection.groups("perception_study") | dg.AssetSelection.assets("raw_hands", "test_hands"),
     description="Tables I to III and Fig. 4 of the paper, and the ablation: hours of training; goes on where it was.",
     tags=ALL_CELLS,
 )

@@ -11,21 +11,16 @@ import dagster as dg
 from assets.config import SettingsConfig
 from deltasafe.errors import SettingsError
 
-__all__ = ["refuse_wrong_settings"]
+__all__ = ["wrong_settings"]
 
 
-def refuse_wrong_settings(run_config: Mapping[str, Any]) -> None:
-    """Try every setting in a run's configuration.
-
-    Raises:
-        dg.Failure: names each wrong one with the step that it is meant for; not tried again.
-    """
+def wrong_settings(run_config: Mapping[str, Any]) -> str:
+    """Try every setting in a run's configuration; names each wrong one with its step, or is empty."""
     classes, wrong = _config_classes(), []
     for step, given in run_config.get("ops", {}).items():
         if step in classes and given.get("config"):
             wrong += [f"{step}: {error}" for error in _errors(classes[step](**given["config"]))]
-    if wrong:
-        raise dg.Failure(f"nothing was run, since settings are wrong: {'; '.join(wrong)}", allow_retries=False)
+    return f"nothing was run, since settings are wrong: {'; '.join(wrong)}" if wrong else ""
 
 
 def _errors(config: dg.Config) -> Iterator[str]:

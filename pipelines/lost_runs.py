@@ -7,18 +7,25 @@ from typing import TYPE_CHECKING
 
 import dagster as dg
 
+from deltasafe.processes import start_ticks
+from pipelines.machines import runs_here
+
 if TYPE_CHECKING:
     from dagster._core.storage.dagster_run import DagsterRun
 
-__all__ = ["fail_lost_runs", "is_alive"]
+__all__ = ["fail_lost_runs", "is_alive", "process_of"]
 
-_UNFINISHED = [dg.DagsterRunStatus.STARTED, dg.DagsterRunStatus.CANCELING]
+_STARTING = dg.DagsterRunStatus.STARTING
+_UNFINISHED = [_STARTING, dg.DagsterRunStatus.STARTED, dg.DagsterRunStatus.CANCELING]
+_SILENT_S = 100.0
+"""A process that has not reported itself for so long is gone; should it come after all, Dagster ignores it."""
 
 
 def fail_lost_runs(instance: dg.DagsterInstance) -> list[str]:
     """Mark runs as failed whose process on this machine has ended, and give back the pool slots that they held.
 
-    Only where runs are processes of this machine (the default launcher); elsewhere the launcher knows better.
+    Only where runs are processes of this machine (the default launcher, and not those of other machines that share
+    the database); elsewhere the launcher knows better.
 
     Returns:
         ids of the runs.
@@ -26,14 +33,19 @@ def fail_lost_runs(instance: dg.DagsterInstance) -> list[str]:
     if not isinstance(instance.run_launcher, dg.DefaultRunLauncher):
         return []
     lost = []
-    for run in instance.get_runs(dg.RunsFilter(statuses=_UNFINISHED)):
-        process = _process_of(instance, run.run_id)
-        if process is None or is_alive(*process):
+    for record in instance.get_run_records(dg.RunsFilter(statuses=_UNFINISHED)):
+        if not runs_here(record.dagster_run):
+            continue
+        run, process = record.dagster_run, process_of(instance, record.dagster_run.run_id)
+        if process is None:
+            if run.status != _STARTING or time.time() - record.update_timestamp.timestamp() < _SILENT_S:
+                continue
+        elif is_alive(*process):
             continue
         again = instance.get_run_by_id(run.run_id)  # it may have ended in the meantime, as runs do
         if again is None or again.is_finished:
             continue
-        _end(instance, again, process[0])
+        _end(instance, again, "its process" if process is None else f"its process ({process[0]})")
         lost.append(run.run_id)
     return lost
 
@@ -43,22 +55,17 @@ def is_alive(pid: int, known_at_s: float) -> bool:
 
     A process that began later only bears its number.
     """
-    stat = pathlib.Path("/proc", str(pid), "stat")
-    if not pathlib.Path("/proc/self/stat").is_file():
-        try:
-            os.kill(pid, 0)
-        except OSError:
-            return False
-        return True
     try:
-        fields = stat.read_text(encoding="utf-8").rpartition(")")[2].split()
+        start = start_ticks(pid)
+        if start is None:
+            os.kill(pid, 0)
+            return True
     except OSError:
         return False
-    began_s = time.time() - _up_s() + int(fields[19]) / os.sysconf("SC_CLK_TCK")
-    return fields[0] not in ("Z", "X") and began_s <= known_at_s + 5.0
+    return time.time() - _up_s() + start / os.sysconf("SC_CLK_TCK") <= known_at_s + 5.0
 
 
-def _process_of(instance: dg.DagsterInstance, run_id: str) -> tuple[int, float] | None:
+def process_of(instance: dg.DagsterInstance, run_id: str) -> tuple[int, float] | None:
     """Number of the run's process and when it reported; None if it has not reported yet."""
     for entry in reversed(instance.all_logs(run_id, of_type=dg.DagsterEventType.ENGINE_EVENT)):
         event = entry.dagster_event
@@ -69,8 +76,8 @@ def _process_of(instance: dg.DagsterInstance, run_id: str) -> tuple[int, float] 
     return None
 
 
-def _end(instance: dg.DagsterInstance, run: "DagsterRun", pid: int) -> None:
-    message = f"Its process ({pid}) is gone: it was killed, or the machine was restarted. Run it again; it goes on."
+def _end(instance: dg.DagsterInstance, run: "DagsterRun", who: str) -> None:
+    message = f"{who.capitalize()} is gone: it was killed, or the machine was restarted. Run it again; it goes on."
     if run.status == dg.DagsterRunStatus.CANCELING:
         instance.report_run_canceled(run, message)
     else:

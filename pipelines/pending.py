@@ -2,6 +2,7 @@
 
 import logging
 import pathlib
+import re
 import time
 import uuid
 from collections.abc import Callable, Mapping
@@ -12,6 +13,10 @@ from deltasafe.storage import read_json, write_json
 __all__ = ["PendingCalls"]
 
 _log = logging.getLogger("deltasafe.tracking")
+_PASSING = re.compile(
+    r"disk is full|disk I/O|No space left|too large|is locked"
+    r"|readonly database|unable to open|Permission denied|Read-only"
+)
 
 
 class PendingCalls:
@@ -44,7 +49,8 @@ class PendingCalls:
 
         Args:
             make: makes one call, given its name and arguments.
-            reachable: asked after a failure: if the server is there, the call itself is at fault, and is set aside.
+            reachable: asked after a failure: if the server is there, the call itself is at fault, and is set aside;
+                unless the fault is one that passes (no room, no permission, a locked database).
         """
         made: dict[pathlib.Path, Any] = {}
         for file in self.files():
@@ -52,8 +58,8 @@ class PendingCalls:
                 call = read_json(file)
                 made[file] = make(call["call"], call["arguments"])
             except Exception as error:  # whatever it is, a training must not die of it
-                if not reachable():
-                    _log.warning("the tracking server is away; %d calls wait in %s", len(self.files()), self.folder)
+                if not reachable() or _PASSING.search(f"{error} {error.__cause__}"):
+                    _log.warning("%d calls wait in %s: %s", len(self.files()), self.folder, error)
                     break
                 self._set_aside(file, error)
             else:

@@ -6,7 +6,7 @@ import pathlib
 import sys
 
 from deltasafe.presets import VARIABLE
-from deltasafe.storage import read_json, write_json
+from deltasafe.storage import read_json
 from pipelines.home import prepare_home
 from pipelines.pictures import record_report
 
@@ -46,22 +46,19 @@ def main() -> int:
 
 def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathlib.Path) -> None:
     """Figures with what made them, and beside them the report with its pictures in sizes that a page can show."""
-    from pipelines.provenance import commit, machine
+    from pipelines.records import merge_part
 
     costs, times = (read_json(folder / f"{name}_runs" / "study.json")["settings"] for name in ("fig5", "fig6"))
     preset = os.environ.get(VARIABLE) or "default"
-    write_json(
+    merge_part(
         destination,
-        {
-            "figures": figures,
-            "command": "make planner-study" + ("" if preset == "default" else f" PRESET={preset}"),
-            "commit": commit(),
-            "seeds": {
-                "fig5_from": costs["first_seed"],
-                "fig6_from": times["first_seed"],
-                "fig6_scene": times["scene_seed"],
-            },
-            "machine": machine(),
+        "planner_study",
+        figures,
+        command="make planner-study" + ("" if preset == "default" else f" PRESET={preset}"),
+        seeds={
+            "fig5_from": costs["first_seed"],
+            "fig6_from": times["first_seed"],
+            "fig6_scene": times["scene_seed"],
         },
     )
     record_report(folder, destination.parent / "planner")

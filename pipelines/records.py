@@ -17,20 +17,19 @@ def merge_part(
     *,
     command: str,
     seeds: Mapping[str, Any],
-    below: str = "parts",
     **about: Any,
 ) -> None:
     """Merge the figures of one command into a JSON record.
 
     Args:
-        destination: ``figures`` of all commands, and under the key ``below`` each one's own record.
+        destination: ``figures`` of all commands, and under ``parts`` each one's own record.
         name: of the part; figures that it gave earlier are replaced, those of others stay.
         command: what made them, with its options; seeds: what it was seeded with.
         about: whatever else explains the part.
     """
     destination = pathlib.Path(destination)
     earlier = read_json(destination) if destination.is_file() else {}
-    parts = earlier.get(below, {})
+    parts = earlier.get("parts", {})
     replaced = parts.get(name, {}).get("figures", {})
     kept = {key: value for key, value in earlier.get("figures", {}).items() if key not in replaced}
     part = {
@@ -51,6 +50,6 @@ def merge_part(
             "seeds": {key: each["seeds"] for key, each in parts.items()},
             "commit": part["commit"],
             "machine": part["machine"],
-            below: parts,
+            "parts": parts,
         },
     )

@@ -8,6 +8,8 @@ python -m pipelines.registry replay                          record what could n
 
 import argparse
 import pathlib
+import re
+import shutil
 import sys
 from typing import Any
 
@@ -57,8 +59,8 @@ class EnsembleRegistry:
         present = self.champion()
         if promoted or present is None:
             unseen = present is None and self._waits()  # a registry that is away may have a champion already
-            self._write_note(folder.name, reason)
             self.tracker.call("promote", artifact=folder.name, because=reason, only_as_first=unseen)
+            self._write_note(folder.name, reason)
             return folder
         self.tracker.call("refuse", artifact=folder.name, because=reason)
         return present
@@ -78,8 +80,8 @@ class EnsembleRegistry:
         if version is None:
             raise DataError(tracking_uri(self.tracker.home), f"has no version {number}; `make registry` lists them")
         folder = _folder_of(version, self.tracker.home)
-        self._write_note(folder.name, because)
         self.tracker.call("promote", artifact=folder.name, because=because)
+        self._write_note(folder.name, because)
         return folder
 
     def rollback(self, because: str) -> pathlib.Path:
@@ -165,20 +167,25 @@ def _folder_of(version: Any, home: pathlib.Path) -> pathlib.Path:
     """The frozen folder of a version: where it was made, or fetched from the registry and verified."""
     import mlflow
 
-    from deltasafe.perception.artifact import verify_artifact
+    from deltasafe.perception.artifact import artifact_name, verify_artifact
     from deltasafe.storage import atomic_folder
 
     name = version.tags.get("artifact", "")
     folder = home / "frozen" / name
-    if not name:
-        raise DataError(f"version {version.version}", "was not registered by this project")
+    if not re.fullmatch(r"ensemble-[0-9a-f]{16}", name):
+        raise DataError(f"version {version.version}", f"was not registered by this project (tag artifact: {name!r})")
     if not folder.is_dir():
         with atomic_folder(folder) as temporary:
-            fetched = mlflow.artifacts.download_artifacts(f"models:/{version.name}/{version.version}")
-            (source,) = pathlib.Path(fetched).glob(f"artifacts/{name}")
-            for path in source.iterdir():
+            copy = temporary / "fetched"  # without a place of its own, a registry in files gives out its own ones
+            copy.mkdir()
+            model = f"models:/{version.name}/{version.version}"
+            fetched = mlflow.artifacts.download_artifacts(f"{model}/artifacts/{name}", dst_path=str(copy))
+            for path in pathlib.Path(fetched).iterdir():
                 path.replace(temporary / path.name)
-        verify_artifact(folder)
+            shutil.rmtree(copy)
+            verify_artifact(temporary)
+            if artifact_name(temporary) != name:
+                raise DataError(f"version {version.version}", f"holds {artifact_name(temporary)}, not {name}")
     return folder
 
 

@@ -1,12 +1,14 @@
 """Dagster resources that hand plain objects to the assets."""
 
+import dataclasses
 import pathlib
 
 import dagster as dg
 
 from assets.interfaces import Store
 from pipelines.home import run_page
-from pipelines.launch_check import refuse_wrong_settings
+from pipelines.launch_check import wrong_settings
+from pipelines.places import places_of
 from pipelines.registry import EnsembleRegistry
 from pipelines.tracking import MlflowTracker
 
@@ -20,9 +22,18 @@ class StoreResource(dg.ConfigurableResource[Store]):
     datasets: str
 
     def create_resource(self, context: dg.InitResourceContext) -> Store:
-        if context.run is not None:
-            refuse_wrong_settings(context.run.run_config)
-        return Store(pathlib.Path(self.home), pathlib.Path(self.datasets))
+        refused = "" if context.run is None else wrong_settings(context.run.run_config)
+        return _SharedStore(pathlib.Path(self.home), pathlib.Path(self.datasets), refused)
+
+
+@dataclasses.dataclass(frozen=True)
+class _SharedStore(Store):
+    """Finds what another machine has finished (a member, cells of a study) as it finds what was finished here."""
+
+    def folder(self, asset: str, name: str) -> pathlib.Path:
+        folder = super().folder(asset, name)
+        places_of(self.home).recall(folder)
+        return folder
 
 
 class TrackerResource(dg.ConfigurableResource[MlflowTracker]):

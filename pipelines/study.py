@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from assets.interfaces import Store
 from assets.study import CellConfig, open_study
 from deltasafe import presets
-from deltasafe.storage import read_json, write_json
 from pipelines.home import DATASETS, home
 
 if TYPE_CHECKING:
@@ -79,25 +78,17 @@ def write_record(path: pathlib.Path, study: "Study", reports: "Reports") -> None
     """Figures with what made them; those of others in the same file (benchmarks) stay as they are."""
     from deltasafe.perception.study.tables import missing_cells
     from deltasafe.perception.study.writing import study_values
-    from pipelines.provenance import commit, machine
+    from pipelines.records import merge_part
 
     values = study_values(study.settings, reports)
-    earlier = read_json(path) if path.is_file() else {"figures": {}, "studied": []}
-    kept = {name: value for name, value in earlier["figures"].items() if name not in earlier.get("studied", ())}
-    figures = {name: value if isinstance(value, bool) else round(value, 6) for name, value in values.items()}
     preset = os.environ.get(presets.VARIABLE) or "default"
-    write_json(
+    merge_part(
         path,
-        {
-            **earlier,
-            "figures": kept | figures,
-            "studied": sorted(figures),
-            "missing": missing_cells(study.settings.cells(), reports),
-            "command": "make study" + ("" if preset == "default" else f" PRESET={preset}"),
-            "commit": commit(),
-            "seeds": {"augmentation": study.augmentation.seed, "members_from": study.settings.first_seed},
-            "machine": machine(),
-        },
+        "study",
+        {name: value if isinstance(value, bool) else round(value, 6) for name, value in values.items()},
+        command="make study" + ("" if preset == "default" else f" PRESET={preset}"),
+        seeds={"augmentation": study.augmentation.seed, "members_from": study.settings.first_seed},
+        missing=missing_cells(study.settings.cells(), reports),
     )
 
 

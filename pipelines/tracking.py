@@ -14,9 +14,13 @@ from pipelines.home import FileLock, set_quiet_environment, tracking_uri
 from pipelines.mlflow_records import MlflowRecords
 from pipelines.pending import PendingCalls
 
-__all__ = ["MlflowTracker", "is_reachable"]
+__all__ = ["RECORDED", "MlflowTracker", "is_reachable"]
 
 _log = logging.getLogger("deltasafe.tracking")
+
+_NOT_TO_BE_LOST = ("register", "promote", "take_out")
+RECORDED = "MLflow was busy for"
+"""How the line in a step's log begins that says what the recording cost; the seconds follow."""
 
 
 class MlflowTracker:
@@ -65,10 +69,16 @@ class MlflowTracker:
         return self.call("register", identity=identity, folder=str(folder))
 
     def call(self, kind: str, /, **arguments: Any) -> str | None:
-        """Write a call down, make what can be made; the address of its page, or None if it waits."""
+        """Write a call down, make what can be made; the address of its page, or None if it waits.
+
+        Raises:
+            WriteError: an ensemble or a decision cannot even be written down; of anything else that costs a warning.
+        """
         try:
             file = self.pending.add(kind, {**arguments, "tags": self.tags, "at_ms": int(time.time() * 1000)})
         except OSError as error:
+            if kind in _NOT_TO_BE_LOST:
+                raise
             _log.warning("%s could not even be written down: %s", kind, error)
             return None
         address: str | None = self.replay().get(file)
@@ -94,8 +104,10 @@ class MlflowTracker:
         """MLflow, for one process at a time: a fresh SQLite file does not survive two migrations at once."""
         set_quiet_environment()
         (self.home / "mlflow").mkdir(parents=True, exist_ok=True)
+        began_s = time.monotonic()
         with FileLock(self.home / "mlflow" / "lock"):
             yield MlflowRecords(tracking_uri(self.home), self.home)
+        _log.info("%s %.2f s", RECORDED, time.monotonic() - began_s)
 
 
 def is_reachable(uri: str, timeout_s: float = 5.0) -> bool:

@@ -13,7 +13,7 @@ from deltasafe.execution.impedance import TaskReference, pose_error
 from deltasafe.execution.kinematics import JointLimits
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.geometry import yaw_of
-from deltasafe.planning import CheckSettings, body_clearance_m, segment_test
+from deltasafe.planning import CheckSettings, body_clearance_m, is_segment_safe, segment_test
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.field import SafetyField
 from deltasafe.planning.tracking import TrackingBound
@@ -23,6 +23,7 @@ __all__ = ["CameraWatch", "Monitor"]
 
 Array = NDArray[np.float64]
 
+_MOST_MARGIN_M = 0.02
 _LOOK_EVERY_S = 0.01
 
 
@@ -84,7 +85,8 @@ class Monitor:
     ) -> None:
         self._bound, self._settings, self._body, self._camera = bound, settings, body, camera
         self._speed_limit = limits.velocity_radps
-        self._test = None if field is None else segment_test(field, body, 0.0, CheckSettings())
+        margin_m = min(float(bound.error_m(settings.min_speed_mps)), _MOST_MARGIN_M)
+        self._planned = None if field is None else segment_test(field, body, margin_m, CheckSettings())
         self._top_z_m = 0.0 if field is None else float(field.grid.upper_m[2])
         self._seen = None if camera is None else camera.seen
         self._look_at_s = 0.0
@@ -99,7 +101,7 @@ class Monitor:
         if reason or time_s < self._look_at_s:
             return reason
         self._look_at_s = time_s + _LOOK_EVERY_S - 1e-9
-        return (self._clearance(state) if is_planned else "") or self._image(time_s)
+        return (self._clearance(state, target) if is_planned else "") or self._image(time_s)
 
     def _tracking(self, state: ArmState, target: TaskReference) -> str:
         x, y, z, a, b, c = pose_error(
@@ -120,16 +122,27 @@ class Monitor:
                 return f"joint {joint + 1} turns {abs(speed) / limit:.2f} times as fast as it may"
         return ""
 
-    def _clearance(self, state: ArmState) -> str:
-        """The measured tool in the field, which takes it upright: what its tilt moves at most is taken off."""
-        if self._test is None:
+    def _clearance(self, state: ArmState, target: TaskReference) -> str:
+        """The measured tool in the field, by the better of two bounds.
+
+        What is known at the measured pose, the field taking it upright: what its tilt moves at most is taken off. What
+        the planner's own test shows at the reference, less the way between: bounds are short of the truth by a part
+        of a voxel, and a motion as close as its tracking bound allows would be stopped for nothing but that.
+        """
+        if self._planned is None:
             return ""
-        x, y, _, _ = state.tool_quaternion.tolist()
-        tilt = 2 * math.asin(min(1.0, math.hypot(x, y)))
         lever_m = max(self._body.rho_max_m, self._top_z_m - float(state.tool_position_m[2]))
-        pose = np.append(state.tool_position_m, yaw_of(state.tool_quaternion))[None]
-        clearance = float(body_clearance_m(self._test, pose)[0]) - tilt * lever_m
-        return f"the tool is {-clearance * 1e3:.2f} mm inside what is not known to be free" if clearance < 0 else ""
+        x, y, _, _ = state.tool_quaternion.tolist()
+        tilted_m = lever_m * 2 * math.asin(min(1.0, math.hypot(x, y)))
+        pose = np.append(state.tool_position_m, yaw_of(state.tool_quaternion))
+        clearance_m = float(body_clearance_m(self._planned, pose[None])[0]) - tilted_m
+        if clearance_m < 0:
+            error = pose_error(target.position_m, target.quaternion, state.tool_position_m, state.tool_quaternion)
+            way_m = math.hypot(*error[:3].tolist()) + lever_m * math.hypot(*error[3:].tolist())
+            pose = np.append(target.position_m, yaw_of(target.quaternion))
+            if is_segment_safe(self._planned, pose, pose):
+                clearance_m = max(clearance_m, self._planned.numbers.margin_m - way_m)
+        return f"the tool is {-clearance_m * 1e3:.2f} mm inside what is not known to be free" if clearance_m < 0 else ""
 
     def _image(self, time_s: float) -> str:
         if self._camera is None or self._seen is None:

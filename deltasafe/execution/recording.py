@@ -3,12 +3,12 @@
 import dataclasses
 import hashlib
 import pathlib
-import zipfile
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.arrays import read_npz
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.planning.body import ToolBody
 from deltasafe.storage import atomic_folder, read_json, write_json
@@ -164,18 +164,18 @@ class Execution:
         folder = pathlib.Path(folder)
         about = read_json(folder / "execution.json")
         if not isinstance(about, dict) or about.get("format") != _FORMAT:
-            raise DataError(folder / "execution.json", f"is not an execution of format {_FORMAT}")
+            raise DataError(
+                folder / "execution.json", f"is not an execution of format {_FORMAT}; execute the motion again"
+            )
         path = folder / "arrays.npz"
+        stored = read_npz(path)
         try:
-            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in COLUMNS}
+            arrays = {name: stored[name] for name in COLUMNS}
             execution = cls(
                 **arrays, body=ToolBody(**about["body"]), seed=about["seed"], stop_reason=about["stop_reason"]
             )
-        except FileNotFoundError:
-            raise DataError(path, "is missing") from None
-        except (KeyError, TypeError, ValueError, OSError, zipfile.BadZipFile) as error:
-            raise DataError(path, f"cannot be read ({error}); execute the motion again") from error
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(folder, f"holds no execution ({error!r}); execute the motion again") from error
         if execution.digest() != about.get("digest"):
             raise DataError(folder, "was altered after it was written; execute the motion again")
         return execution

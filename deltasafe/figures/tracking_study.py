@@ -1,7 +1,6 @@
 """The tracking error over speed, the paper's line, the identified bound, and what lay outside on held-out runs."""
 
 import pathlib
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -9,9 +8,8 @@ from matplotlib.figure import Figure
 
 from deltasafe.planning.tracking import TrackingBound
 from deltasafe.storage import atomic_file
-
-if TYPE_CHECKING:
-    from deltasafe.tracking_study import TrackingStudy
+from deltasafe.tracking_study.study import TrackingStudy
+from deltasafe.tracking_study.tracks import PHASES_OF_SPEED
 
 __all__ = ["plot_tracking"]
 
@@ -20,10 +18,8 @@ _BOUND, _PAPER, _OUTSIDE = "#1b1f24", "#C8102E", "#C8102E"
 _SHOWN = 40_000
 
 
-def plot_tracking(study: "TrackingStudy", destination: str | pathlib.Path) -> None:
+def plot_tracking(study: TrackingStudy, destination: str | pathlib.Path) -> None:
     """Samples of the held-out runs with the bounds; each run's largest excess over the identified one."""
-    from deltasafe.tracking_study import PHASES_OF_SPEED
-
     figure = Figure(figsize=(11.5, 4.8), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))

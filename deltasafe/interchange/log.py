@@ -1,19 +1,19 @@
 """One MCAP file: JSON messages on topics, facts as metadata, whole files as attachments. The only importer of mcap."""
 
 import base64
+import contextlib
 import dataclasses
 import importlib.util
 import json
 import pathlib
-import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Any, Self
 
+from deltasafe.arrays import UNREADABLE
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.interchange.schemas import SCHEMAS
-from deltasafe.storage import atomic_file
+from deltasafe.storage import atomic_file, parse_json
 
 __all__ = ["LogContent", "LogWriter", "read_log", "stamp"]
 
@@ -33,33 +33,37 @@ class LogWriter:
 
     Raises:
         SettingsError: the file does not end in .mcap, or the package mcap is not installed.
+        WriteError: no room, or no permission.
     """
 
     def __init__(self, destination: str | pathlib.Path) -> None:
         _require_mcap()
         if pathlib.Path(destination).suffix.lower() != ".mcap":
             raise SettingsError(f"a log must end in .mcap, got {pathlib.Path(destination).name}")
-        self._whole = atomic_file(destination)
+        self._whole = contextlib.ExitStack()
+        self._destination = destination
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
 
     def __enter__(self) -> Self:
         from mcap.writer import Writer
 
-        self._stream = self._whole.__enter__().open("wb")
-        self._writer = Writer(self._stream)
+        temporary = self._whole.enter_context(atomic_file(self._destination))
+        self._writer = Writer(self._whole.enter_context(temporary.open("wb")))
+        self._whole.push(self._finish)
         self._writer.start(profile="", library=LIBRARY)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            if kind is None:
-                self._writer.finish()
-        finally:
-            self._stream.close()
-            self._whole.__exit__(kind, error, trace)
+        self._whole.__exit__(kind, error, trace)
+
+    def _finish(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self._writer.finish()
 
     def say(self, topic: str, schema: str, time_ns: int, message: Mapping[str, Any]) -> None:
         """A message of one of ``SCHEMAS``; its ``timestamp`` is added."""
@@ -103,7 +107,7 @@ class LogContent:
             DataError: there is none; names the topics that there are.
         """
         if topic not in self.messages:
-            raise DataError(self.path, f"has no messages on {topic}, only on {sorted(self.messages)}")
+            raise DataError(self.path, f"has no messages on {topic}, only on {sorted(self.messages)}; export it again")
         return self.messages[topic]
 
     def about(self, name: str) -> dict[str, Any]:
@@ -123,7 +127,7 @@ class LogContent:
             DataError: there is none.
         """
         if name not in self.attachments:
-            raise DataError(self.path, f"has no attachment {name}, only {sorted(self.attachments)}")
+            raise DataError(self.path, f"has no attachment {name}, only {sorted(self.attachments)}; export it again")
         return self.attachments[name]
 
     def image(self, topic: str) -> tuple[bytes, str]:
@@ -132,7 +136,7 @@ class LogContent:
         try:
             return base64.b64decode(message["data"], validate=True), str(message["format"])
         except (KeyError, TypeError, ValueError) as error:
-            raise DataError(self.path, f"{topic} holds no compressed image ({error!r})") from error
+            raise DataError(self.path, f"{topic} holds no compressed image ({error!r}); export it again") from error
 
 
 def read_log(path: str | pathlib.Path) -> LogContent:
@@ -147,6 +151,8 @@ def read_log(path: str | pathlib.Path) -> LogContent:
     from mcap.reader import make_reader
 
     path = pathlib.Path(path)
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise DataError(path, "is no file; give the log's file")
     messages: dict[str, list[dict[str, Any]]] = {}
     try:
         with path.open("rb") as stream:
@@ -155,13 +161,13 @@ def read_log(path: str | pathlib.Path) -> LogContent:
                 if channel.message_encoding == "json":
                     messages.setdefault(channel.topic, []).append(_object(message.data))
             facts = {
-                record.name: {key: json.loads(value) for key, value in record.metadata.items()}
+                record.name: {key: parse_json(value) for key, value in record.metadata.items()}
                 for record in _ours(reader.iter_metadata())
             }
             attachments = {record.name: bytes(record.data) for record in reader.iter_attachments()}
     except FileNotFoundError:
-        raise DataError(path, "is missing") from None
-    except (McapError, OSError, EOFError, ValueError, struct.error, zlib.error, RuntimeError) as error:
+        raise DataError(path, "is missing; give the log's file") from None
+    except (*UNREADABLE, McapError, AssertionError, IndexError, OverflowError) as error:
         raise DataError(path, f"is not a readable MCAP log ({error!r}); record or export it again") from error
     return LogContent(path, messages, facts, attachments)
 
@@ -171,7 +177,7 @@ def _ours(records: Iterator[Any]) -> Iterator[Any]:
 
 
 def _object(data: bytes) -> dict[str, Any]:
-    found = json.loads(data)
+    found = parse_json(data)
     if not isinstance(found, dict):
         raise ValueError("a message is not a JSON object")
     return found

@@ -98,7 +98,7 @@ def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> Logg
     facts = log.about(FACTS)
     data, form = log.image(IMAGE)
     if form not in FORMATS:
-        raise DataError(log.path, f"{IMAGE} is {form!r}; only {sorted(FORMATS)} can be read")
+        raise DataError(log.path, f"{IMAGE} is {form!r}; only {sorted(FORMATS)} can be read, convert it")
     try:
         record = {
             "id": facts["id"],
@@ -110,14 +110,19 @@ def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> Logg
             "goal": _task(log, GOAL),
             "ground_truth": {"mask": MASK, "mesh": MESH},
         }
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except DataError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
         raise DataError(log.path, f"describes no scene ({error!r}); export it again") from error
     with atomic_folder(folder) as temporary:
         (temporary / FORMATS[form]).write_bytes(data)
         for name in (MASK, MESH):
             (temporary / name).write_bytes(log.attachment(name))
         write_json(temporary / "scene.json", record)
-        LoggedScene.load(temporary)
+        try:
+            LoggedScene.load(temporary)
+        except DataError as error:  # the folder that it names is about to go
+            raise DataError(log.path, f"holds a scene whose {error.path.name} {error.reason}") from error
     return LoggedScene.load(folder)
 
 
@@ -145,7 +150,9 @@ def _camera(log: LogContent, facts: dict[str, Any]) -> dict[str, Any]:
     turned = Rotation.from_quat([transform["rotation"][axis] for axis in "xyzw"]).as_matrix()
     exact = np.array(facts.get("camera_rotation", turned.tolist()))
     if exact.shape != (3, 3) or np.abs(exact - turned).max() > 1e-6:
-        raise DataError(log.path, f"{TRANSFORM} and the metadata disagree about where the camera looks")
+        raise DataError(
+            log.path, f"{TRANSFORM} and the metadata disagree about where the camera looks; export it again"
+        )
     return {
         "width": calibration["width"],
         "height": calibration["height"],

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.batches import Batch, Effort, run_batches
+from deltasafe.engine import LOCAL, Engine
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.progress import Progress, silent
 from deltasafe.records import from_json
@@ -168,11 +169,13 @@ def run_study(
     folder: str | pathlib.Path,
     workers: int = 1,
     progress: Progress = silent,
+    engine: Engine = LOCAL,
 ) -> SafetyStudy:
     """Run, or go on with, the study; a batch in ``folder`` is a situation with all its trials.
 
     Situations are added until ``settings.n_executions`` motions were executed. How many are added at a time follows
-    from the outcomes so far alone: the trials depend neither on interruptions nor on the number of ``workers``.
+    from the outcomes so far alone: the trials depend neither on interruptions nor on ``workers`` or ``engine``.
+    Scenes and ensemble are read where the engine works.
 
     Raises:
         SettingsError: nobody is there to look, or contender after contender refuses every situation.
@@ -190,7 +193,7 @@ def run_study(
     while executed < settings.n_executions:
         count += _more(settings, executed, count)
         jobs = [(f"situation-{number:05d}", (each, inputs.scenes, inputs.eyes, number)) for number in range(count)]
-        batches, effort = run_batches(meet, jobs, folder, workers, progress, made_by=MADE_BY)
+        batches, effort = run_batches(meet, jobs, folder, workers, progress, made_by=MADE_BY, engine=engine)
         executed = sum(int((batch["outcome"] == OUTCOMES.index("executed")).sum()) for batch in batches)
         progress(executed, max(executed, settings.n_executions), "motions executed")
     trials = {name: np.concatenate([batch[name] for batch in batches]) for name in (*COLUMNS, *BY_SPEED)}

@@ -176,6 +176,10 @@ class _Table:
         self.situation: Situation = draw_situation(settings, len(scenes), self.scene, situation)
         self.body = ToolBody()
         self.seconds = dict.fromkeys(STAGES, 0.0)
+        # of this situation alone: caches of the class would keep every situation for as long as the process lives
+        self.grid = functools.cache(self._grid)
+        self.field = functools.cache(self._field)
+        self.plan = functools.cache(self._plan)
 
     @functools.cached_property
     def sight(self) -> Sight:
@@ -194,12 +198,10 @@ class _Table:
         """p_occupied (H, W) that a contender is given."""
         return self.sight.members[self.member] if contender == "single_member" else self.sight.ensemble
 
-    @functools.cache  # noqa: B019 - lives as long as the situation
-    def grid(self, single: bool) -> OccupancyGrid:
+    def _grid(self, single: bool) -> OccupancyGrid:
         return self._extruded(self.picture("single_member" if single else "ours"))
 
-    @functools.cache  # noqa: B019
-    def field(self, single: bool, delta: float) -> SafetyField:
+    def _field(self, single: bool, delta: float) -> SafetyField:
         return SafetyField.build(self.grid(single), delta)
 
     @functools.cached_property
@@ -212,8 +214,7 @@ class _Table:
         count = settings.n_obstacles
         return fit_obstacles(self.sight.ensemble, scene.camera, scene.table_z_m, scene.hand_height_m, count, 0)
 
-    @functools.cache  # noqa: B019
-    def plan(self, single: bool, delta: float, start: Pose, goal: Pose) -> PlanResult:
+    def _plan(self, single: bool, delta: float, start: Pose, goal: Pose) -> PlanResult:
         """The path of our planner; the one without a schedule drives the same."""
         motion = level_settings(self.settings.motion, delta)
         seed = self.situation.plan_seed

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.batches import Effort, run_batches
+from deltasafe.engine import LOCAL, Engine
 from deltasafe.errors import DataError
 from deltasafe.planning.tracking import TrackingBound
 from deltasafe.progress import Progress, silent
@@ -133,7 +134,11 @@ class TrackingStudy:
 
 
 def run_study(
-    settings: TrackingStudySettings, folder: str | pathlib.Path, workers: int = 1, progress: Progress = silent
+    settings: TrackingStudySettings,
+    folder: str | pathlib.Path,
+    workers: int = 1,
+    progress: Progress = silent,
+    engine: Engine = LOCAL,
 ) -> TrackingStudy:
     """Do all runs in batches below ``folder``; finished ones are found again.
 
@@ -147,7 +152,7 @@ def run_study(
     size, total = settings.runs_per_batch, settings.n_runs
     of_a_run = dataclasses.replace(settings, n_slope_runs=1, n_bound_runs=settings.least_bound_runs, n_held_out_runs=1)
     jobs = [(f"runs-{first:05d}", (of_a_run, first, min(first + size, total))) for first in range(0, total, size)]
-    batches, effort = run_batches(record_runs, jobs, folder, workers, progress, made_by=MADE_BY)
+    batches, effort = run_batches(record_runs, jobs, folder, workers, progress, made_by=MADE_BY, engine=engine)
     names = [field.name for field in dataclasses.fields(Tracks)]
     return TrackingStudy(
         settings, Tracks.joined([Tracks(**{name: batch[name] for name in names}) for batch in batches]), effort

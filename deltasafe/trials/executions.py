@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.execution.recording import Execution
 from deltasafe.execution.simulate import ExecutionSettings, execute, iiwa_for
+from deltasafe.lifeline import end_with_parent
 from deltasafe.planning import SafetyField
 from deltasafe.progress import Progress, silent
 from deltasafe.scene import LoggedScene
@@ -67,7 +68,7 @@ def execute_scenes(
             for index, scene in enumerate(scenes)
         ]
         pool = concurrent.futures.ProcessPoolExecutor(
-            min(workers, len(jobs)), mp_context=multiprocessing.get_context("spawn")
+            min(workers, len(jobs)), multiprocessing.get_context("spawn"), end_with_parent
         )
         with pool:
             for done, outcome in enumerate(pool.map(_execute, jobs), start=1):

@@ -4,12 +4,11 @@ import pathlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
-from deltasafe.perception.hands import read_rgb
+from deltasafe.perception.hands import read_mask, read_rgb
 from deltasafe.progress import Progress, silent
 from deltasafe.scene import FieldSettings, LoggedScene, OccupancyGrid, Sighting, grid_from_image
 from deltasafe.storage import atomic_folder, read_json, write_json
@@ -83,7 +82,7 @@ def load_p_occupied(folder: str | pathlib.Path, scene_id: str) -> NDArray[np.flo
     file = pathlib.Path(folder) / scene_id / "p_occupied.npy"
     try:
         stored: NDArray[np.float32] = np.load(file, allow_pickle=False)
-    except (OSError, ValueError) as error:
+    except (OSError, EOFError, ValueError, MemoryError) as error:
         raise DataError(file, f"is not readable ({error}); make the occupancy fields again") from error
     return stored
 
@@ -98,8 +97,8 @@ def missed_hand(scenes: Sequence[LoggedScene], folder: str | pathlib.Path, delta
     """
     shares = {}
     for scene in scenes:
-        mask = cv2.imdecode(np.fromfile(scene.mask_path, np.uint8), cv2.IMREAD_GRAYSCALE)
-        if mask is None or not mask.any():
-            raise DataError(scene.mask_path, "is no mask of a hand (255 = hand); restore it")
-        shares[scene.id] = float((load_p_occupied(folder, scene.id)[mask > 0] <= delta).mean())
+        mask, p_occupied = read_mask(scene.mask_path), load_p_occupied(folder, scene.id)
+        if mask.shape != p_occupied.shape:
+            raise DataError(scene.mask_path, f"is {mask.shape}, the image {p_occupied.shape} pixels; restore it")
+        shares[scene.id] = float((p_occupied[mask > 0] <= delta).mean())
     return shares

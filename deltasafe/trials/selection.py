@@ -1,6 +1,8 @@
-"""Which logged scenes take part: a list of folders, fixed once, so that later steps agree about it."""
+"""Which logged scenes take part: fixed once and kept together, so that later steps agree about it, on any machine."""
 
+import os
 import pathlib
+import shutil
 from collections.abc import Sequence
 
 from deltasafe.errors import DataError, SettingsError
@@ -11,7 +13,9 @@ __all__ = ["load_selection", "select_scene", "select_scenes"]
 
 
 def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> tuple[LoggedScene, ...]:
-    """Check the scenes below ``source`` and write down the first ``n_scenes`` (0: all) of them.
+    """Check the scenes below ``source`` and put the first ``n_scenes`` (0: all) of them into ``folder``.
+
+    Files are linked where the file system can (no room is taken), and copied elsewhere.
 
     Raises:
         DataError: a scene is defective, or there is none.
@@ -26,7 +30,7 @@ def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> 
 
 
 def select_scene(source: pathlib.Path, folder: pathlib.Path) -> LoggedScene:
-    """Check the one scene in ``source`` and write it down.
+    """Check the one scene in ``source`` and put it into ``folder``.
 
     Raises:
         DataError: it is defective, or its id is not the name of its folder.
@@ -39,12 +43,20 @@ def select_scene(source: pathlib.Path, folder: pathlib.Path) -> LoggedScene:
 
 
 def _write(scenes: Sequence[LoggedScene], folder: pathlib.Path) -> None:
-    record = [
-        {"folder": str(scene.image_path.parent.resolve()), "image_sha256": sha256_of_file(scene.image_path)}
-        for scene in scenes
-    ]
     with atomic_folder(folder) as temporary:
+        record = []
+        for scene in scenes:
+            place = scene.image_path.parent
+            shutil.copytree(place, temporary / place.name, copy_function=_link, ignore=shutil.ignore_patterns(".*"))
+            record.append({"folder": place.name, "image_sha256": sha256_of_file(scene.image_path)})
         write_json(temporary / "scenes.json", record)
+
+
+def _link(source: str, destination: str) -> None:
+    try:
+        os.link(pathlib.Path(source).resolve(), destination)
+    except OSError:  # another file system, or one without links
+        shutil.copyfile(source, destination)
 
 
 def load_selection(folder: pathlib.Path) -> tuple[LoggedScene, ...]:
@@ -55,7 +67,7 @@ def load_selection(folder: pathlib.Path) -> tuple[LoggedScene, ...]:
     """
     scenes = []
     for entry in read_json(folder / "scenes.json"):
-        scene = LoggedScene.load(entry["folder"])
+        scene = LoggedScene.load(folder / entry["folder"])
         if sha256_of_file(scene.image_path) != entry["image_sha256"]:
             raise DataError(scene.image_path, "was replaced since the scenes were selected; select them again")
         scenes.append(scene)

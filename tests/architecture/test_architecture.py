@@ -11,7 +11,9 @@ import pytest
 
 ROOT = pathlib.Path(__file__).parents[2]
 MODULES = sorted(
-    path for package in ("deltasafe", "assets", "pipelines", "generator") for path in (ROOT / package).rglob("*.py")
+    path
+    for package in ("deltasafe", "assets", "pipelines", "generator", "faults")
+    for path in (ROOT / package).rglob("*.py")
 )
 
 
@@ -49,7 +51,7 @@ def imported_after(statement):
 
 def test_definitions_load_without_the_heavy_libraries():
     loaded = imported_after("from pipelines.build import build_defs; build_defs()")
-    assert not loaded & {"torch", "torchvision", "mlflow", "pybullet", "albumentations", "cv2", "matplotlib"}
+    assert not loaded & {"torch", "torchvision", "mlflow", "pybullet", "albumentations", "cv2", "matplotlib", "ray"}
 
 
 def test_planning_needs_numpy_numba_and_scipy_only():

@@ -58,3 +58,24 @@ def test_a_run_sees_what_the_launchpad_was_given():
     run_config = {"ops": {"reader": {"config": {"epochs": 9, "network": {"architecture": "deeplabv3"}}}}}
     assert dg.materialize([reader], run_config=run_config).success
     assert seen == [TrainingSettings(NetworkSettings(architecture="deeplabv3"), epochs=9)]
+
+
+@pytest.mark.parametrize(
+    ("settings", "field", "said"),
+    [
+        (TrainingSettings(), "epochs", "passes over the augmented set"),
+        (PRESETS["default"].motion, "gamma1_s", "the tracking bound gamma(v)"),
+        (PRESETS["default"].motion, "delta", "occupied with at most this probability"),
+        (AugmentationSettings(), "left_out", "changes nothing in the draws of the others."),
+    ],
+    ids=["own", "one of two", "inherited", "several lines"],
+)
+def test_the_form_says_what_a_setting_means(settings, field, said):
+    config_class = configurable(settings)
+
+    @dg.asset
+    def reader(config: config_class):
+        raise AssertionError
+
+    fields = reader.op.config_schema.config_type.fields
+    assert said in fields[field].description

@@ -10,8 +10,10 @@ import pytest
 
 from assets.interfaces import Store
 from assets.study import CellConfig, augmentation_ablation, augmentation_tables, cells, ensemble_size, study_cell
+from deltasafe.engine import LOCAL
 from deltasafe.presets import PRESETS
 from pipelines.io import FolderPointers
+from pipelines.records import merge_part
 
 ROOT = pathlib.Path(__file__).parents[2]
 STUDY = PRESETS["smoke"].study
@@ -49,7 +51,7 @@ def test_a_cell_is_made_and_found_and_the_tables_say_what_is_missing(few_hands, 
 
     trained = []
 
-    def train_here(jobs, data, settings, *, device, workers, on_step):
+    def train_here(jobs, data, settings, *, device, workers, on_step, engine):
         for job in jobs:
             trained.append(job.name)
             report = functools.partial(on_step, job.name)
@@ -67,7 +69,7 @@ def test_a_cell_is_made_and_found_and_the_tables_say_what_is_missing(few_hands, 
 
     home, tracker = few_hands / "home", Noted()
     store = Store(home, ROOT / "datasets")
-    resources = {"io_manager": FolderPointers(home=str(home)), "store": store, "tracker": tracker}
+    resources = {"io_manager": FolderPointers(home=str(home)), "store": store, "tracker": tracker, "engine": LOCAL}
     small = CellConfig(
         augmentation={"width": 64, "height": 48},
         training={"network": {"pyramid_channels": 16}, "epochs": 1},
@@ -112,8 +114,8 @@ def test_a_cell_is_made_and_found_and_the_tables_say_what_is_missing(few_hands, 
     paths = few_hands / "train", few_hands / "test"
     record = few_hands / "results" / "perception.json"
     record.parent.mkdir()
-    earlier = {"figures": {"training_ratio": 1.7, "gone": 1.0}, "studied": ["gone"], "command": "", "commit": ""}
-    record.write_text(json.dumps(earlier))
+    merge_part(record, "training", {"training_ratio": 1.7}, command="another", seeds={})
+    merge_part(record, "study", {"gone": 1.0}, command="earlier", seeds={})
     arguments = ["study", "--cells", "cutout-50", "--home", str(home), "--record", str(record)]
     monkeypatch.setattr("sys.argv", arguments)
     assert command.main() == 1, "cells are missing"
@@ -122,6 +124,6 @@ def test_a_cell_is_made_and_found_and_the_tables_say_what_is_missing(few_hands, 
     assert written["figures"]["training_ratio"] == 1.7
     assert "gone" not in written["figures"]
     assert written["figures"]["cutout_50_m"] == 2
-    assert written["missing"] == [cell.name for cell in STUDY.cells() if cell.name != "cutout-50"]
-    assert written["command"] == "make study PRESET=smoke"
+    assert written["parts"]["study"]["missing"] == [cell.name for cell in STUDY.cells() if cell.name != "cutout-50"]
+    assert written["command"] == "make study PRESET=smoke; another"
     assert {path.name for path in record.with_suffix("").iterdir()} == {"report.md", "schemes.png", "tables-1-2.png"}

@@ -2,6 +2,7 @@
 
 import datetime
 import itertools
+import re
 
 import dagster as dg
 import pytest
@@ -57,7 +58,7 @@ def test_no_training_reads_test_images(defs):
         if "test_hands" in {dep.asset_key.to_user_string() for dep in spec.deps}
     }
     assert readers == {"calibration_report", "champion", "study_cell"}
-    assert {name for name, spec in specs(defs).items() if spec.group_name == "study"} == STUDY
+    assert {name for name, spec in specs(defs).items() if spec.group_name == "perception_study"} == STUDY
 
 
 def test_the_chain_neither_waits_for_the_studies_nor_runs_them(defs):
@@ -74,14 +75,14 @@ def test_everything_is_described_owned_and_versioned(defs):
         assert spec.owners, name
         assert spec.kinds, name
         assert spec.code_version, name
-        studies = ("study", "planner_study", "safety_study", "tracking_study")
+        studies = ("perception_study", "planner_study", "safety_study", "tracking_study")
         assert spec.group_name in ("perception", "motion", "single_scene", *studies), name
 
 
 def test_checks_before_the_freeze_block_it(defs):
     checks = {spec.name: spec for check in defs.asset_checks for spec in check.check_specs}
     blocking = {name for name, spec in checks.items() if spec.blocking}
-    assert blocking >= {"no_image_in_both_sets", "images_match_their_recipes", "every_member_learned", "may_be_frozen"}
+    assert blocking >= {"no_image_in_both_sets", "images_match_their_recipes", "learned", "may_be_frozen"}
     assert all(spec.description for spec in checks.values())
 
 
@@ -189,18 +190,48 @@ def test_the_last_checks_fail_for_what_they_are_about(tmp_path, change, safe, tr
     assert tracking_kept_its_bound(tmp_path).passed == tracked
 
 
-def test_a_member_that_did_not_learn_is_found(tmp_path):
+@pytest.mark.parametrize("whole", [True, False], ids=["all members in one run", "one member"])
+def test_a_member_that_did_not_learn_is_found_and_named_in_its_partition(tmp_path, whole):
     from torch import nn
 
-    from assets.checks import every_member_learned
+    from assets.checks import learned
+    from assets.perception import members
     from deltasafe.perception.member import Member
 
-    falling = [1.0 - 0.009 * step for step in range(100)]
-    for name, losses in {"good": falling, "bad": [0.7] * 100}.items():
+    first, second = members.get_partition_keys()[:2]
+    for name, losses in {first: [1.0 - 0.009 * step for step in range(100)], second: [0.7] * 100}.items():
         Member.write(tmp_path / name, nn.Linear(2, 1), {"losses": losses})
-    good, bad = tmp_path / "good", tmp_path / "bad"
-    assert every_member_learned(tmp_path, {"member_00": good}).passed
-    assert not every_member_learned(tmp_path, {"member_00": good, "member_01": bad}).passed
+
+    @dg.asset(partitions_def=members, backfill_policy=dg.BackfillPolicy.single_run())
+    def ensemble_member():
+        pass
+
+    @dg.asset(deps=[ensemble_member])
+    def what_follows():
+        pass
+
+    class Folders(dg.ConfigurableIOManager):
+        def handle_output(self, context, obj):
+            pass
+
+        def load_input(self, context):
+            return {key: tmp_path / key for key in context.asset_partition_keys}
+
+    span = {"dagster/asset_partition_range_start": first, "dagster/asset_partition_range_end": second}
+    result = dg.materialize(
+        [ensemble_member, what_follows, learned],
+        resources={"io_manager": Folders()},
+        raise_on_error=False,
+        **({"tags": span} if whole else {"partition_key": second}),
+    )
+    evaluations = {evaluation.partition: evaluation for evaluation in result.get_asset_check_evaluations()}
+    assert set(evaluations) == ({first, second, None} if whole else {second})
+    assert not evaluations[second].passed
+    assert evaluations[second].description == f"{second} ended at 100% of its first loss"
+    if whole:
+        assert evaluations[first].passed
+        assert evaluations[None].description == evaluations[second].description
+    assert not result.asset_materializations_for_node("what_follows"), "the check blocks"
 
 
 @pytest.mark.parametrize(
@@ -213,41 +244,50 @@ def test_a_member_that_did_not_learn_is_found(tmp_path):
 )
 def test_a_wrong_setting_is_refused_before_anything_runs(tmp_path, step, config, told):
     """The first step that asks for the store says so, though the setting is meant for a much later one."""
-    from pipelines.launch_check import refuse_wrong_settings
+    from pipelines.launch_check import wrong_settings
 
-    with pytest.raises(dg.Failure, match=told) as refused:
-        refuse_wrong_settings({"ops": {step: {"config": config}}})
-    assert not refused.value.allow_retries
+    assert re.search(told, wrong_settings({"ops": {step: {"config": config}}}))
 
 
 def test_a_run_with_a_wrong_setting_computes_nothing(tmp_path):
+    from assets.operation import TWICE_MORE, fails_for_good
     from assets.perception import champion
     from pipelines.resources import StoreResource
 
     reached = []
 
-    @dg.asset
-    def first(store: dg.ResourceParam[Store]):
+    @dg.asset(retry_policy=TWICE_MORE)
+    @fails_for_good
+    def test_hands(store: dg.ResourceParam[Store]):
         reached.append(store)
 
     plain = {"tracker": object(), "registry": object()}
     resources = {"store": StoreResource(home=str(tmp_path), datasets=str(tmp_path)), **plain}
-    given = [dg.AssetSpec("frozen_ensemble"), dg.AssetSpec("test_hands")]
-    job = dg.Definitions([first, champion, *given], resources=resources).resolve_implicit_global_asset_job_def()
+    given = dg.AssetSpec("frozen_ensemble")
+    job = dg.Definitions([test_hands, champion, given], resources=resources).resolve_implicit_global_asset_job_def()
     result = job.execute_in_process(run_config={"ops": {"champion": {"config": {"level": 2.0}}}}, raise_on_error=False)
     assert not result.success
     assert reached == []
+    assert not [event for event in result.all_events if event.is_step_up_for_retry]
+
+
+def test_every_asset_that_writes_refuses_such_a_run(defs):
+    for definition in defs.assets:
+        made = getattr(getattr(definition, "op", None), "compute_fn", None)
+        if made is not None and "store" in definition.required_resource_keys:
+            assert made.decorated_fn.__wrapped__, definition.key
 
 
 def test_settings_that_are_fine_pass_the_same_look():
-    from pipelines.launch_check import refuse_wrong_settings
+    from pipelines.launch_check import wrong_settings
 
-    refuse_wrong_settings({"ops": {"ensemble_member": {"config": {"training": {"epochs": 3}}}, "raw_hands": {}}})
+    fine = {"ensemble_member": {"config": {"training": {"epochs": 3}}}, "raw_hands": {}}
+    assert wrong_settings({"ops": fine}) == ""
 
 
 def test_bad_input_is_not_tried_again_and_bad_luck_is():
     from assets.operation import fails_for_good
-    from deltasafe.errors import DataError
+    from deltasafe.errors import DataError, WorkerLostError
 
     tries = []
 
@@ -255,9 +295,14 @@ def test_bad_input_is_not_tried_again_and_bad_luck_is():
     @fails_for_good
     def reader(context: dg.AssetExecutionContext):
         tries.append(context.retry_number)
-        raise DataError("a.png", "is no readable image") if hopeless else OSError("the disk was busy")
+        raise error
 
-    for hopeless, expected in ((True, 1), (False, 3)):  # noqa: B007
+    wrong, busy, killed = (
+        DataError("a.png", "is no image"),
+        OSError("the disk was busy"),
+        WorkerLostError("out of memory"),
+    )
+    for error, expected in ((wrong, 1), (busy, 3), (killed, 3)):  # noqa: B007
         tries.clear()
         result = dg.materialize([reader], raise_on_error=False)
         assert len(tries) == expected

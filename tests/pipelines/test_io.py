@@ -3,7 +3,8 @@
 import dagster as dg
 import pytest
 
-from deltasafe.errors import DataError
+from assets.interfaces import Store
+from deltasafe.errors import DataError, SettingsError
 from pipelines.io import FolderPointers
 
 PARTS = dg.StaticPartitionsDefinition(["a", "b"])
@@ -98,3 +99,10 @@ def test_a_run_sees_its_own_folders_whatever_another_run_makes_meanwhile(home):
     assert materialise(home, [made, meanwhile, used]).success
     assert read == ["mine"]
     assert FolderPointers(home=str(home)).folder(dg.AssetKey("made")).name == "of another run"
+
+
+@pytest.mark.parametrize("name", ["", "..", ".", "../../elsewhere", "a/b", "/etc", "a\0b", "a\nb"])
+def test_a_name_cannot_lead_out_of_the_store(home, name):
+    with pytest.raises(SettingsError, match="cannot be the name of a folder"):
+        Store(home, home).folder("logged_scene", name)
+    assert Store(home, home).folder("logged_scene", "scene_000-1").is_relative_to(home)

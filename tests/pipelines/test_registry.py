@@ -1,9 +1,12 @@
 """Promotion is a gate: refused, promoted, rolled back, on the real registry with the real asset."""
 
+from types import SimpleNamespace
+
 import dagster as dg
 import pytest
 
 from assets.perception import champion
+from deltasafe.errors import DataError
 from pipelines import registry as command
 from pipelines.home import tracking_uri
 from pipelines.io import FolderPointers
@@ -127,10 +130,20 @@ def test_another_machine_fetches_the_champion_from_the_registry(home, frozen, tm
     from deltasafe.perception.artifact import verify_artifact
 
     (found,) = [version for version in versions(home).values() if CHAMPION in version.aliases]
-    with MlflowTracker(home).records():
-        fetched = command._folder_of(found, tmp_path)
-    assert fetched == tmp_path / "frozen" / frozen["better"].name
-    verify_artifact(fetched)
+    for machine in (tmp_path / "one", tmp_path / "another"):  # the first takes nothing away
+        with MlflowTracker(home).records():
+            fetched = command._folder_of(found, machine)
+        assert fetched == machine / "frozen" / frozen["better"].name
+        verify_artifact(fetched)
+        assert [path.name for path in fetched.parent.iterdir()] == [fetched.name]
+
+
+@pytest.mark.parametrize("name", ["", "../../elsewhere", "ensemble-0/../..", "/etc"])
+def test_a_registry_cannot_lead_out_of_the_home(tmp_path, name):
+    found = SimpleNamespace(name=MODEL_NAME, version="1", tags={"artifact": name})
+    with pytest.raises(DataError, match="not registered by this project"):
+        command._folder_of(found, tmp_path / "home")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -12,6 +12,7 @@ from PIL import Image
 
 import deltasafe.safety_study
 from assets.safety_study import safety_trials
+from deltasafe.engine import LOCAL
 from deltasafe.presets import VARIABLE
 from deltasafe.storage import read_json, write_json
 from pipelines import safety_study
@@ -51,6 +52,7 @@ def materialized(root, registry, ensemble):
         "io_manager": FolderPointers(home=str(root)),
         "store": StoreResource(home=str(root), datasets=str(root)),
         "registry": dg.ResourceDefinition.hardcoded_resource(registry),
+        "engine": LOCAL,
     }
     config = {"ops": {"safety_trials": {"config": {"ensemble": ensemble}}}}
     with dg.DagsterInstance.ephemeral() as instance:

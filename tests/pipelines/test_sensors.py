@@ -203,6 +203,20 @@ def test_a_run_whose_process_was_killed_is_failed_and_others_are_not(tmp_path):
         assert fail_lost_runs(instance) == []
 
 
+def test_a_run_whose_process_never_reports_itself_is_failed_after_a_while(tmp_path, monkeypatch):
+    @dg.job
+    def work():
+        pass
+
+    with dg.DagsterInstance.local_temp(str(tmp_path)) as instance:
+        silent = instance.create_run_for_job(work, status=dg.DagsterRunStatus.STARTING).run_id
+        waiting = instance.create_run_for_job(work, status=dg.DagsterRunStatus.NOT_STARTED).run_id
+        assert fail_lost_runs(instance) == []
+        monkeypatch.setattr("pipelines.lost_runs._SILENT_S", 0.0)
+        assert fail_lost_runs(instance) == [silent]
+        assert instance.get_run_by_id(waiting).status == dg.DagsterRunStatus.NOT_STARTED
+
+
 def test_a_number_that_was_given_away_again_is_not_the_same_process():
     assert is_alive(os.getpid(), time.time())
     assert not is_alive(os.getpid(), time.time() - 10**6), "it began after the run did"

@@ -1,4 +1,5 @@
 import dataclasses
+import os
 import pathlib
 
 import numpy as np
@@ -84,3 +85,26 @@ def test_digest_sees_dataclasses_arrays_and_paths_by_value():
 def test_sha256_agrees_with_the_published_vector(tmp_path):
     (tmp_path / "abc").write_bytes(b"abc")
     assert sha256_of_file(tmp_path / "abc") == ("ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"a": 1, "a": 2}', "key 'a' occurs twice"),
+        ('{"a": NaN}', "NaN is not a finite number"),
+        ('{"a": -1e999}', "-1e999 is not a finite number"),
+        ('{"a": ' + "9" * 5000 + "}", "not valid JSON"),
+        ("[" * 100_000 + "]" * 100_000, "nested too deeply"),
+    ],
+    ids=["twice", "nan", "infinite", "digits", "deep"],
+)
+def test_json_that_readers_disagree_on_is_refused(tmp_path, text, says):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(DataError, match=says):
+        read_json(tmp_path / "a.json")
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.json")
+    with pytest.raises(DataError, match="is no file"):
+        read_json(tmp_path / "a.json")

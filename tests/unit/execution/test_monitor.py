@@ -2,6 +2,7 @@
 
 import concurrent.futures
 import dataclasses
+import itertools
 import multiprocessing
 
 import numpy as np
@@ -18,9 +19,13 @@ from deltasafe.execution import (
     execute,
     iiwa_for,
 )
-from deltasafe.planning import SafetyField
+from deltasafe.execution.arm import ArmState
+from deltasafe.execution.impedance import TaskReference
+from deltasafe.execution.kinematics import IIWA14_LIMITS
+from deltasafe.execution.monitor import Monitor
+from deltasafe.planning import CheckSettings, SafetyField, body_clearance_m, is_segment_safe, segment_test
 from deltasafe.planning.tracking import TrackingBound
-from deltasafe.scene import OccupancyGrid
+from deltasafe.scene import OccupancyGrid, Sphere, grid_from_shapes
 from deltasafe.scene.sighting import Sighting
 from tests.unit.execution.conftest import BODY, quintic
 
@@ -97,6 +102,29 @@ def test_leaving_what_is_known_to_be_free_stops_the_arm_within_its_tracking_boun
     stopped = go(walled, push)
     assert "not known to be free" in stopped.stop_reason
     assert stopped.tool_positions_m[:, 1].max() + BODY.semi_axis_y_m < wall_m + 0.01  # 30 ms until the brakes hold
+
+
+def test_where_the_planner_may_go_the_monitor_stops_nothing_and_no_farther_than_the_margin():
+    """The planner's test shows more than the bound of a single pose does: both count, and the truth limits them."""
+    grid = grid_from_shapes([Sphere((0, 0, 0.05), 0.02)], 0.01, (-0.1, -0.1, 0.0), (0.1, 0.1, 0.12), 0.005)
+    field, bound, limits = SafetyField.build(grid, 0.05), TrackingBound(0.002, 0.0), IIWA14_LIMITS
+    planned = segment_test(field, BODY, 0.002, CheckSettings())
+    monitor = Monitor(bound, dataclasses.replace(SETTINGS, monitor_margin_m=0.05), limits, BODY, field, None)
+    rng, only_by_the_test, zero = np.random.default_rng(0), 0, np.zeros(7)
+    times = itertools.count()
+    for _ in range(3000):
+        x, y, z = rng.uniform((-0.07, -0.07, 0.03), (0.07, 0.07, 0.1))
+        pose = np.array([x, y, z, 0.0])
+        if not is_segment_safe(planned, pose, pose):
+            continue
+        target = TaskReference(pose[:3], np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6), np.zeros(6), zero, zero)
+        away_m = rng.normal(size=3)
+        away_m *= 0.0019 / np.linalg.norm(away_m)
+        for offset_m in (np.zeros(3), away_m):
+            state = ArmState(zero, zero, pose[:3] + offset_m, target.quaternion)
+            assert monitor.violation(float(next(times)), state, target, is_planned=True) == "", (pose, offset_m)
+            only_by_the_test += float(body_clearance_m(planned, (pose + np.append(offset_m, 0))[None])[0]) < 0
+    assert only_by_the_test > 10
 
 
 def sighting(number, taken_s):

@@ -1,8 +1,10 @@
 """The study from end to end, with eyes that see the truth and an arm that follows exactly; and what it concludes."""
 
 import dataclasses
+import gc
 import json
 import pathlib
+import weakref
 
 import cv2
 import numpy as np
@@ -209,6 +211,23 @@ def test_an_arm_that_cannot_follow_is_an_outcome(made, tmp_path):
         run_study(far, inputs, tmp_path)
     with pytest.raises(SettingsError, match="scene"):
         StudyInputs((), (), None, 1, None)
+
+
+def test_a_situation_that_is_over_is_forgotten(made):
+    """Thousands of them pass through one process; each holds images, fields and paths."""
+    _, inputs, _ = made
+    seen = []
+
+    class Watched(trials._Table):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            seen.append(weakref.ref(self))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trials, "_Table", Watched)
+        trials.meet(SETTINGS, inputs.scenes, inputs.eyes, 0)
+    gc.collect()
+    assert [each() for each in seen] == [None]
 
 
 def synthetic(rows):

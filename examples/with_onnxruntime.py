@@ -1,0 +1,105 @@
+"""The ensemble from its folder, with onnxruntime and numpy alone: verified, then asked.
+
+python with_onnxruntime.py ENSEMBLE IMAGE [-o p_occupied.npy]
+"""
+
+import argparse
+import hashlib
+import json
+import math
+import pathlib
+import sys
+from typing import Any
+
+import numpy as np
+import onnxruntime
+from PIL import Image, ImageOps
+
+
+class ArtifactError(Exception):
+    """The folder is not an intact ensemble; the message names the file."""
+
+
+def verified(folder: pathlib.Path) -> dict[str, Any]:
+    """The manifest, once every file has the SHA-256 that it states, and the folder the name that follows from it."""
+    if not (folder / "manifest.json").is_file():
+        raise ArtifactError(f"{folder}: is not the folder of a frozen ensemble (manifest.json is missing)")
+    content = (folder / "manifest.json").read_bytes()
+    if folder.resolve().name != f"ensemble-{hashlib.sha256(content).hexdigest()[:16]}":
+        raise ArtifactError(f"{folder / 'manifest.json'}: was altered, or the folder was renamed; pull it again")
+    manifest: dict[str, Any] = json.loads(content)
+    for name, digest in manifest["files"].items():
+        if not (folder / name).is_file():
+            raise ArtifactError(f"{folder / name}: is missing; pull the ensemble again")
+        if hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest:
+            raise ArtifactError(f"{folder / name}: was altered (its SHA-256 differs); pull the ensemble again")
+    return manifest
+
+
+class HandEnsemble:
+    """p_occupied of an image, from `ensemble.onnx`."""
+
+    def __init__(self, folder: pathlib.Path) -> None:
+        manifest = verified(folder)
+        if manifest["format_version"] != 3:
+            raise ArtifactError(f"{folder}: is of format {manifest['format_version']}; this script reads 3")
+        self.inference = manifest["inference"]
+        self.temperature = json.loads((folder / "calibration.json").read_text())["temperature"]
+        self.program = onnxruntime.InferenceSession(folder / "ensemble.onnx", providers=["CPUExecutionProvider"])
+        with np.load(folder / "golden.npz", allow_pickle=False) as golden:
+            self.golden_difference = np.abs(self.p_occupied(golden["rgb"]) - golden["p_occupied"]).max()
+        if not self.golden_difference <= 1e-4:
+            raise ArtifactError(f"{folder}: this machine answers the golden image by {self.golden_difference:.2g} off")
+
+    def p_occupied(self, rgb: np.ndarray) -> np.ndarray:
+        """uint8 (H, W, 3) -> float32 (H, W): mean over the members at the image's size, then the temperature."""
+        height, width = rgb.shape[:2]
+        scale = math.sqrt(self.inference["height"] * self.inference["width"] / (height * width))
+        h, w = (max(2, round(side * scale / 16)) * 16 for side in (height, width))
+        weights = area if h * w < height * width else bilinear
+        small = np.einsum("yY,YXc,xX->yxc", weights(height, h), rgb.astype(float), weights(width, w), optimize=True)
+        seen = np.rint(small).astype(np.uint8)
+        logits = self.program.run(["member_logits"], {"rgb": seen[None]})[0][0]  # (M, h, w)
+        full = bilinear(h, height) @ logits @ bilinear(w, width).T
+        mean = sigmoid(full).mean(axis=0).clip(1e-7, 1 - 1e-7)
+        return sigmoid(np.log(mean / (1 - mean)) / self.temperature).astype(np.float32)
+
+
+def area(size: int, target: int) -> np.ndarray:
+    """(target, size): each new pixel is the mean over the part of the line that it covers."""
+    edge, pixel = np.arange(target + 1) * size / target, np.arange(size)
+    covered = np.minimum(edge[1:, None], pixel + 1) - np.maximum(edge[:-1, None], pixel)
+    return covered.clip(0) * target / size
+
+
+def bilinear(size: int, target: int) -> np.ndarray:
+    """(target, size): each new pixel lies between two old ones, by the distance of their centres."""
+    centre = ((np.arange(target) + 0.5) * size / target - 0.5).clip(0, size - 1)
+    return (1 - np.abs(centre[:, None] - np.arange(size))).clip(0)
+
+
+def sigmoid(x: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(-x))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("ensemble", type=pathlib.Path, help="folder ensemble-..., as it was frozen")
+    parser.add_argument("image", type=pathlib.Path, help="PNG or JPEG of any size")
+    parser.add_argument("-o", "--output", default="p_occupied.npy", help="(H, W) float32 (default: %(default)s)")
+    options = parser.parse_args()
+
+    ensemble = HandEnsemble(options.ensemble)
+    with Image.open(options.image) as picture:
+        p_occupied = ensemble.p_occupied(np.asarray(ImageOps.exif_transpose(picture).convert("RGB")))
+
+    np.save(options.output, p_occupied)
+    print(f"{options.ensemble.name}: intact, golden image answered within {ensemble.golden_difference:.0e}")
+    print(f"p_occupied > 0.05 on {(p_occupied > 0.05).mean():.1%} of {options.image}")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (ArtifactError, OSError) as error:
+        sys.exit(f"with_onnxruntime: {error}")

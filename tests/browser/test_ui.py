@@ -1,0 +1,154 @@
+"""The UI, used by clicks: run the whole chain, read a report, set something wrong, read why not.
+
+One story in chapters: each test goes on where the one before has left the home.
+"""
+
+import re
+
+import pytest
+
+from tests.browser.clicks import (
+    CHAIN,
+    button,
+    close_dialog,
+    configure,
+    dialog_of,
+    end_of_run,
+    link,
+    navigate,
+    open_asset,
+    open_graph_of_the_chain,
+    open_launchpad,
+    open_markdown,
+    search,
+    show_navigation,
+    sizes_of_pictures,
+)
+
+SHOWN = {
+    "raw_hands": ["some of them"],
+    "test_hands": ["some of them"],
+    "augmented_hands": ["contact sheet"],
+    "ensemble_member": ["loss"],
+    "calibration_report": ["report"],
+    "logged_scenes": ["scenes as logged"],
+    "occupancy_fields": ["overview"],
+    "planned_motions": ["first motion"],
+    "safety_report": ["plans"],
+}
+"""Where a page shows pictures."""
+LEAST = {"calibration_report": 4}
+TOLD = re.compile(r"[\s\S]{100}")
+"""What tells a report in short has so many letters at least."""
+
+
+@pytest.fixture(scope="module")
+def outcome(tab, screenshot):
+    """Of the run of the whole chain, begun as somebody would who has read nothing, and watched to its end."""
+    tab.goto("/")
+    navigate(tab, "Jobs")
+    link(tab, "everything").click()
+    button(tab, "Materialize all").click()
+    dialog_of(tab).get_by_role("button", name="All", exact=True).click()
+    screenshot("materialise")
+    dialog_of(tab).get_by_role("button", name="Launch backfill").click()
+    dialog_of(tab).wait_for(state="detached")
+    navigate(tab, "Runs")
+    tab.get_by_text("Show runs within backfills").click()
+    end_of_run(tab)  # the list is at rest meanwhile; the page of the run would draw every event
+    tab.get_by_role("link").filter(has_text=re.compile(r"^[0-9a-f]{8}$")).first.click()
+    outcome = end_of_run(tab)
+    screenshot("run")
+    return outcome
+
+
+def gate(miou):
+    return f"ops:\n  calibration_report_may_be_frozen:\n    config:\n      miou: {miou}\n"
+
+
+def test_a_newcomer_finds_the_chain_and_its_groups(page, screenshot):
+    navigate(page, "Catalog")
+    for group, names in CHAIN.items():
+        search(page, f'group:"{group}"')
+        for name in names:
+            link(page, name).wait_for()
+        screenshot(f"catalog-{group}")
+
+
+def test_the_chain_is_materialised_by_clicks(outcome):
+    assert outcome == "Success"
+
+
+def test_every_asset_of_the_chain_is_shown_as_made(page, outcome):
+    navigate(page, "Catalog")
+    for group, names in CHAIN.items():
+        search(page, f'group:"{group}"')
+        link(page, names[-1]).wait_for()
+        whole = [name for name in names if name != "ensemble_member"]  # whose partitions are counted instead
+        page.get_by_text(re.compile("^Materialized")).nth(len(whole) - 1).wait_for()
+        assert page.get_by_text("Never materialized").count() == 0
+
+
+def test_the_graph_shows_the_whole_chain(page, screenshot, outcome):
+    screenshot("graph", open_graph_of_the_chain(page))
+    show_navigation(page)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_page_shows_its_asset_in_pictures_that_the_browser_can_draw(page, screenshot, outcome, name):
+    open_asset(page, name)
+    page.get_by_text("digest", exact=True).wait_for()
+    screenshot(name)
+    for key in SHOWN[name]:
+        shown = open_markdown(page, key)
+        shown.locator("img").first.wait_for()
+        sizes = sizes_of_pictures(shown)
+        screenshot(f"{name}-{key}")
+        close_dialog(page)
+        assert len(sizes) >= LEAST.get(name, 1)
+        assert all(width >= 200 and height >= 80 for width, height in sizes), sizes
+
+
+@pytest.mark.parametrize("name", ["calibration_report", "safety_report"])
+def test_a_report_is_told_in_short_without_a_click(page, outcome, name):
+    open_asset(page, name)
+    row = page.get_by_role("row").filter(has=page.get_by_text("in short", exact=True))
+    told = row.filter(has_text=TOLD).inner_text()  # Markdown is drawn some time after its row
+    assert "Show Markdown" not in told
+
+
+def test_a_setting_of_the_wrong_type_is_refused_while_it_is_written(page, screenshot, outcome):
+    open_asset(page, "calibration_report")
+    launchpad = open_launchpad(page)
+    configure(page, gate("high"))
+    launchpad.get_by_text('Value "high"').wait_for()
+    screenshot("launchpad")
+    assert "is not valid" in launchpad.inner_text()
+    assert launchpad.get_by_role("button", name="Materialize").is_disabled()
+    configure(page, gate(0.9))
+    launchpad.get_by_text("No errors").wait_for()
+
+
+def test_a_setting_that_makes_no_sense_is_refused_before_anything_is_computed(page, screenshot, outcome):
+    open_asset(page, "calibration_report")
+    launchpad = open_launchpad(page)
+    configure(page, gate(3.0))
+    launchpad.get_by_text("No errors").wait_for()
+    launchpad.get_by_role("button", name="Materialize").click()
+    assert end_of_run(page) == "Failure"
+    page.get_by_text("nothing was run, since settings are wrong").first.wait_for()
+    screenshot("refused")
+    assert page.get_by_text("miou must lie in").first.is_visible()
+
+
+def test_the_page_of_a_failed_check_names_its_reason(page, screenshot, outcome):
+    open_asset(page, "calibration_report")
+    launchpad = open_launchpad(page)
+    configure(page, gate(0.999))
+    launchpad.get_by_text("No errors").wait_for()
+    launchpad.get_by_role("button", name="Materialize").click()
+    assert end_of_run(page) == "Failure"
+    open_asset(page, "calibration_report", tab="Checks")
+    page.get_by_text("may_be_frozen", exact=True).first.click()
+    page.get_by_text(re.compile(r"^mIoU is 0\.\d{4} and must be at least 0\.999$")).wait_for()
+    screenshot("check")

@@ -1,0 +1,249 @@
+"""The examples, imported by path as another project would copy them."""
+
+import ast
+import dataclasses
+import importlib.util
+import pathlib
+import shutil
+import subprocess
+import sys
+import tomllib
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deltasafe.errors import ArtifactError, SettingsError
+from deltasafe.perception.artifact import freeze_ensemble, load_ensemble
+from deltasafe.perception.member import Member
+from deltasafe.perception.network import build_network
+from deltasafe.perception.settings import InferenceSettings, NetworkSettings
+from deltasafe.planning import PlannedMotion
+from tests.ensembles import CALIBRATION, freeze_constant
+
+ROOT = pathlib.Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+SCENE = ROOT / "datasets" / "scenes" / "scene_000"
+SCRIPTS = sorted(EXAMPLES.glob("*.py"))
+NAME = "deltasafe-hand-ensemble"
+
+
+def script(name):
+    spec = importlib.util.spec_from_file_location(f"examples_{name}", EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def image(height, width, seed=0):
+    noise = np.random.default_rng(seed).integers(0, 256, (9, 12, 3), dtype=np.uint8)
+    return cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
+
+
+@pytest.fixture(scope="module")
+def numpy_alone():
+    return script("with_onnxruntime")
+
+
+@pytest.fixture(scope="module")
+def frozen(tmp_path_factory):
+    """Two random networks, and a temperature."""
+    settings = NetworkSettings(pretrained=False, pyramid_channels=16)
+    record = {"settings": {"network": dataclasses.asdict(settings)}, "data_digest": "d" * 64}
+    home = tmp_path_factory.mktemp("home")
+    members = [
+        Member.write(home / f"member{seed}", build_network(settings, seed), {**record, "seed": seed})
+        for seed in range(2)
+    ]
+    calibration = dataclasses.replace(CALIBRATION, n_members=2, temperature=0.6)
+    return freeze_ensemble(members, InferenceSettings(64, 48), calibration, image(72, 96), home / "frozen")
+
+
+@pytest.fixture(scope="module")
+def sees_nothing(tmp_path_factory):
+    return freeze_constant(tmp_path_factory.mktemp("home"), -6.0)
+
+
+@pytest.fixture
+def copy(frozen, tmp_path):
+    return shutil.copytree(frozen, tmp_path / frozen.name)
+
+
+@pytest.fixture
+def call(monkeypatch, tmp_path):
+    """Run the main function of a script in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name, *arguments):
+        monkeypatch.setattr(sys, "argv", [f"{name}.py", *map(str, arguments)])
+        script(name).main()
+
+    return run
+
+
+# 64 x 48 is looked at as it is; 96 x 72 and 160 x 120 have ratios whose means are never halves
+@pytest.mark.parametrize("size", [(48, 64), (72, 96), (120, 160)])
+def test_numpy_and_onnxruntime_say_what_deltasafe_says(numpy_alone, frozen, size):
+    rgb = image(*size, seed=1)
+    expected = load_ensemble(frozen, engine="torch").p_occupied(rgb)
+    found = numpy_alone.HandEnsemble(frozen).p_occupied(rgb)
+    assert (found.shape, found.dtype) == (size, np.float32)
+    assert np.ptp(expected) > 0.01, "there is something to see"
+    assert np.abs(found - expected).max() < 1e-4
+
+
+@given(st.integers(2, 300), st.integers(2, 300))
+def test_both_ways_of_scaling_are_means(size, target):
+    module = script("with_onnxruntime")
+    for weights in (module.area(size, target), module.bilinear(size, target)):
+        assert weights.shape == (target, size)
+        assert weights.min() >= 0
+        np.testing.assert_allclose(weights.sum(axis=1), 1)
+    np.testing.assert_allclose(module.area(size, target).sum(axis=0), target / size)
+
+
+@pytest.mark.parametrize(("size", "target"), [((97, 131), (48, 64)), ((30, 44), (48, 80))])
+def test_scaling_is_opencv_s_but_for_rounding(numpy_alone, size, target):
+    rgb = image(*size, seed=2)
+    weights, method = (numpy_alone.area, cv2.INTER_AREA) if target < size else (numpy_alone.bilinear, cv2.INTER_LINEAR)
+    rows, columns = (weights(old, new) for old, new in zip(size, target, strict=True))
+    found = np.einsum("yY,YXc,xX->yxc", rows, rgb.astype(float), columns)
+    expected = cv2.resize(rgb.astype(np.float32), target[::-1], interpolation=method)
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+def test_every_file_is_verified_without_deltasafe(numpy_alone, frozen, copy):
+    names = sorted(path.name for path in frozen.iterdir())
+    assert len(names) == 7
+    for name in names:
+        file = copy / name
+        content = bytearray(file.read_bytes())
+        content[len(content) // 2] ^= 1
+        file.write_bytes(content)
+        with pytest.raises(numpy_alone.ArtifactError, match=f"{name}: was altered"):
+            numpy_alone.HandEnsemble(copy)
+        file.unlink()
+        with pytest.raises(numpy_alone.ArtifactError, match=f"{name}.* is missing"):
+            numpy_alone.HandEnsemble(copy)
+        shutil.copyfile(frozen / name, file)
+    numpy_alone.HandEnsemble(copy)
+    with pytest.raises(numpy_alone.ArtifactError, match="renamed"):
+        numpy_alone.HandEnsemble(copy.rename(copy.with_name("ensemble-0123456789abcdef")))
+
+
+def test_an_answer_that_is_not_the_golden_one_is_refused(numpy_alone, frozen, monkeypatch):
+    monkeypatch.setattr(numpy_alone, "bilinear", numpy_alone.area)
+    with pytest.raises(numpy_alone.ArtifactError, match="golden"):
+        numpy_alone.HandEnsemble(frozen)
+
+
+@pytest.mark.parametrize("name", ["from_folder", "with_onnxruntime"])
+def test_both_folder_scripts_write_the_same_image(call, frozen, name, tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "image.png"), image(72, 96, seed=3)[..., ::-1])
+    call(name, frozen, "image.png", "-o", "found.npy")
+    found = np.load(tmp_path / "found.npy", allow_pickle=False)
+    assert np.abs(found - load_ensemble(frozen).p_occupied(image(72, 96, seed=3))).max() < 1e-4
+    assert f"{frozen.name}: intact" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "there"), [("from_folder", True), ("with_onnxruntime", True), ("with_onnxruntime", False)]
+)
+def test_a_tampered_or_missing_folder_is_one_line_that_names_the_file(copy, tmp_path, name, there):
+    (copy / "ensemble.onnx").write_bytes(b"another program")
+    folder, said = (copy, "ensemble.onnx: was altered") if there else (tmp_path / "nowhere", "nowhere: is not")
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), str(folder), str(SCENE / "image.jpg")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env={"PYTHONPATH": str(ROOT)})
+    assert done.returncode == 1
+    assert said in done.stderr
+    assert done.stderr.startswith(f"{name}: ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_motion_is_planned_and_drawn(call, sees_nothing, tmp_path, capsys):
+    call("plan_around_a_hand", sees_nothing, SCENE, "-o", tmp_path / "plan")
+    motion = PlannedMotion.load(tmp_path / "plan")
+    assert motion.is_safe
+    assert motion.settings.delta == 0.05
+    assert cv2.imread(str(tmp_path / "plan" / "plan.png")) is not None
+    assert f"{motion.trajectory.duration_s:.1f} s" in capsys.readouterr().out
+
+
+def test_where_no_motion_is_safe_it_says_so(call, frozen, tmp_path):
+    """Random networks suspect a hand everywhere."""
+    with pytest.raises(SystemExit, match=r"no motion is safe at delta = 0\.05: .*start"):
+        call("plan_around_a_hand", frozen, SCENE, "-o", tmp_path / "plan")
+
+
+def test_a_smaller_delta_than_supported_is_refused(call, sees_nothing, tmp_path):
+    with pytest.raises(SettingsError, match=r"0\.02 is refused: .*is 0\.05"):
+        call("plan_around_a_hand", sees_nothing, SCENE, "-o", tmp_path / "plan", "--delta", "0.02")
+    assert not (tmp_path / "plan").exists()
+
+
+@pytest.fixture
+def registry(frozen, tmp_path, monkeypatch):
+    """An MLflow registry with ``frozen`` as champion, and its copy of the folder."""
+    from mlflow import MlflowClient, set_tracking_uri
+
+    monkeypatch.setenv("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
+    address = f"sqlite:///{tmp_path / 'mlflow.db'}"
+    model = tmp_path / "model"
+    stored = shutil.copytree(frozen, model / "artifacts" / frozen.name)
+    client = MlflowClient(address)
+    client.create_registered_model(NAME)
+    client.create_model_version(NAME, model.as_uri(), tags={"artifact": frozen.name})
+    client.create_model_version(NAME, model.as_uri(), tags={"artifact": "ensemble-0123456789abcdef"})
+    client.create_model_version(NAME, model.as_uri())
+    for alias, version in (("champion", "1"), ("elsewhere", "2"), ("foreign", "3")):
+        client.set_registered_model_alias(NAME, alias, version)
+    yield address, stored
+    set_tracking_uri(None)
+
+
+@pytest.mark.filterwarnings("ignore")  # of MLflow's own making
+def test_the_registry_gives_its_champion_or_nothing(call, frozen, registry, tmp_path, capsys):
+    from mlflow.exceptions import MlflowException
+
+    address, stored = registry
+    cv2.imwrite(str(tmp_path / "image.png"), image(72, 96, seed=4)[..., ::-1])
+    call("from_registry", "image.png", "--registry", address)
+    found = np.load(tmp_path / "p_occupied.npy", allow_pickle=False)
+    assert np.abs(found - load_ensemble(frozen).p_occupied(image(72, 96, seed=4))).max() < 1e-4
+    assert f"champion is {frozen.name}: intact" in capsys.readouterr().out
+
+    for alias, error, said in (
+        ("nobody", MlflowException, "nobody"),
+        ("foreign", ArtifactError, "not registered by deltasafe"),
+        ("elsewhere", (MlflowException, OSError), "ensemble-0123456789abcdef"),
+    ):
+        with pytest.raises(error, match=said):
+            call("from_registry", "image.png", "--registry", address, "--alias", alias)
+    (stored / "member-1.safetensors").write_bytes(b"other weights")
+    with pytest.raises(ArtifactError, match=r"member-1\.safetensors: was altered"):
+        call("from_registry", "image.png", "--registry", address)
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.name)
+def test_a_script_imports_what_its_environment_holds(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    imported = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            imported |= {name.name.split(".")[0] for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add(node.module.split(".")[0])
+    held = {"with_onnxruntime": {"numpy", "onnxruntime", "PIL"}, "from_registry": {"numpy", "mlflow", "deltasafe"}}
+    assert imported - sys.stdlib_module_names <= held.get(path.stem, {"numpy", "deltasafe"})
+    assert path.read_text(encoding="utf-8").count("\n") <= 130
+    assert f"python {path.name} " in ast.get_docstring(tree)
+
+
+def test_the_project_of_the_examples_names_the_library_s_own_extra():
+    own = tomllib.loads((EXAMPLES / "pyproject.toml").read_text())["dependency-groups"]
+    library = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert own["torch"] == [f"{library['name']}[vision]"]
+    assert "vision" in library["optional-dependencies"]
+    assert not any(name.startswith(("deltasafe", "torch", "dagster", "mlflow")) for name in own["onnx"])

@@ -1,0 +1,66 @@
+"""Workers whose parent is killed: a pool's, busy and waiting, and those of a manager."""
+
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+PROGRAM = """
+import multiprocessing, os, sys, time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.managers import SyncManager
+from deltasafe.lifeline import end_with_parent
+
+def tell(seconds):
+    print(os.getpid(), flush=True)
+    time.sleep(seconds)
+
+if __name__ == "__main__":
+    end_with_parent()  # in a process that nobody's multiprocessing started, this does nothing
+    context = multiprocessing.get_context(sys.argv[1])
+    initializer = end_with_parent if sys.argv[2] == "held" else None
+    manager = SyncManager(ctx=context)
+    manager.start(initializer)
+    print(manager._process.pid, flush=True)
+    pool = ProcessPoolExecutor(2, context, initializer)
+    jobs = [pool.submit(tell, seconds) for seconds in (60.0, 0.5)]
+    jobs[1].result()
+    print("ready", flush=True)
+    time.sleep(60)
+"""
+
+
+def is_alive(pid):
+    try:
+        state = pathlib.Path("/proc", str(pid), "stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state not in "ZX"
+
+
+@pytest.mark.parametrize("method", ["spawn", "forkserver"])
+@pytest.mark.parametrize("held", ["held", "not held"])
+def test_workers_end_with_a_parent_that_was_killed(tmp_path, method, held):
+    (tmp_path / "program.py").write_text(PROGRAM)
+    environment = {**os.environ, "PYTHONPATH": str(pathlib.Path(__file__).parents[2])}
+    command = [sys.executable, str(tmp_path / "program.py"), method, held]
+    parent = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment)
+    assert parent.stdout is not None
+    pids = [int(line) for line in iter(parent.stdout.readline, "ready\n")]
+    assert len(pids) == 3
+    assert all(map(is_alive, pids))
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    for _ in range(100):
+        if not any(map(is_alive, pids)):
+            break
+        time.sleep(0.05)
+    left = [pid for pid in pids if is_alive(pid)]
+    for pid in left:
+        os.kill(pid, signal.SIGKILL)
+    assert bool(left) == (held == "not held")
