@@ -1,8 +1,16 @@
-"""Which process bears a number: numbers are given away again, the number and the start together are not."""
+"""Which process bears a number, and how a server ends that has children.
 
+Numbers are given away again; the number and the start together are not.
+"""
+
+import contextlib
+import os
 import pathlib
+import signal
+import subprocess
+import time
 
-__all__ = ["start_ticks"]
+__all__ = ["start_ticks", "stop_session"]
 
 
 def start_ticks(pid: int) -> int | None:
@@ -20,3 +28,36 @@ def start_ticks(pid: int) -> int | None:
     if fields[0] in "ZX":
         raise ProcessLookupError(pid)
     return int(fields[19])
+
+
+def stop_session(leader: subprocess.Popen, patience_s: float = 30.0) -> None:
+    """End a server that was started with ``start_new_session=True``, and whatever it has started.
+
+    The leader is asked first, and alone: some (Dagster's) stop their children in order, and would wait for ever if
+    those ended before; others (MLflow's) pass nothing on. Then whoever is left is asked, and killed if it does not
+    listen.
+    """
+    leader.terminate()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        leader.wait(timeout=patience_s)
+    with contextlib.suppress(ProcessLookupError):
+        if leader.poll() is not None:
+            os.killpg(leader.pid, signal.SIGTERM)
+            until = time.monotonic() + patience_s
+            while _is_at_work(leader.pid) and time.monotonic() < until:
+                time.sleep(0.05)
+        os.killpg(leader.pid, signal.SIGKILL)
+    leader.wait()
+
+
+def _is_at_work(group: int) -> bool:
+    """Whether a process of the group still runs; one that only has to be waited for, by whomever, does not."""
+    stats = list(pathlib.Path("/proc").glob("[0-9]*/stat"))
+    for stat in stats:
+        with contextlib.suppress(OSError):
+            state, _, of_group = stat.read_text(encoding="utf-8").rpartition(")")[2].split()[:3]
+            if int(of_group) == group and state not in "ZX":
+                return True
+    if not stats:
+        os.killpg(group, 0)
+    return not stats

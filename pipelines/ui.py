@@ -1,12 +1,12 @@
 """`make ui`: the Dagster UI, its daemon and the MLflow UI on the storage of the home; for this machine alone."""
 
 import argparse
-import contextlib
 import os
 import signal
 import subprocess
 import sys
 
+from deltasafe.processes import stop_session
 from pipelines.home import PROJECT, mlflow_ui, prepare_home, tracking_uri
 from pipelines.mlflow_server import mlflow_command, reached_at
 
@@ -44,16 +44,8 @@ def main() -> int:
     except KeyboardInterrupt:
         print("\nStopping ...", flush=True)
     finally:
-        dagster_ui, *others = running
-        dagster_ui.terminate()  # the leader alone: it stops its children in order, and hangs if they die first
-        for other in others:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(other.pid, signal.SIGTERM)  # the whole group: its leader passes nothing on
         for process in running:
-            try:
-                process.wait(timeout=30)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
+            stop_session(process)
     return 0
 
 

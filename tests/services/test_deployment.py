@@ -16,6 +16,7 @@ import urllib.request
 import pytest
 import yaml
 
+from deltasafe.processes import stop_session
 from pipelines.home import DATABASE_VARIABLE
 from pipelines.machines import MACHINE_TAG
 from pipelines.mlflow_server import ARTIFACTS_VARIABLE, BACKEND_VARIABLE
@@ -86,10 +87,7 @@ def services(database, s3, tmp_path):
         yield {"webserver": webserver, "mlflow": mlflow, "alive": lambda: alive(processes, tmp_path)}
     finally:
         for process in reversed(processes.values()):
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, 15)
-        for process in processes.values():
-            process.wait()
+            stop_session(process)
 
 
 def alive(processes, folder):

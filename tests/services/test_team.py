@@ -1,6 +1,5 @@
 """Machines of a team: homes of their own, one PostgreSQL, one object store, one MLflow; all of them real servers."""
 
-import contextlib
 import json
 import os
 import pathlib
@@ -12,6 +11,7 @@ import time
 import dagster as dg
 import pytest
 
+from deltasafe.processes import stop_session
 from pipelines import shared_store
 from pipelines.home import DATABASE_VARIABLE, TRACKING_VARIABLE, prepare_home
 from pipelines.io import FolderPointers
@@ -169,9 +169,7 @@ def mlflow(team, database, tmp_path, monkeypatch):
             time.sleep(0.2)
         yield
     finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, 15)
-        process.wait()
+        stop_session(process)
 
 
 @pytest.mark.filterwarnings("ignore")  # of MLflow's own making
