@@ -30,6 +30,8 @@ def main(arguments: list[str] | None = None) -> int:
     figures: dict[str, float] = {}
     record["cold_compile_cpu_s"] = measures.cold_compile_s(cluttered)
     say(f"first search, compiled or from the cache: {record['cold_compile_cpu_s']:.1f} s of this process")
+    record["yaw_certificate_ms"] = measures.yaw_certificate_ms(cluttered, repeats)
+    say(f"certificate that knows the yaw, once for the field: {record['yaw_certificate_ms']:.1f} ms")
     with tempfile.TemporaryDirectory() as folder, foreign_cores() as others:
         program, wheel = compiled_harness(pathlib.Path(folder)), has_wheel()
         files = {name: pathlib.Path(folder) / f"{number}.bin" for number, name in enumerate(made)}

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.planner.ompl import harness, wheel
-from benchmarks.planner.problems import DELTA, MARGIN_M, Problem
+from benchmarks.planner.problems import DELTA, DELTA_P_M, MARGIN_M, Problem
 from deltasafe.planner_study.scenes import EllipticDisc, crowded_scene
 from deltasafe.planning import is_segment_safe
+from deltasafe.planning.yaw_certificate import yaw_certificate
 from deltasafe.trials.audit import audit_path
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "growth",
     "missed_by_sampling",
     "turns",
+    "yaw_certificate_ms",
 ]
 
 REACH_M = EllipticDisc().semi_axis_x_m
@@ -192,6 +194,17 @@ def _points_of_disc(spacing_m: float = 0.001) -> NDArray[np.float64]:
     flat = flat[(flat[:, 0] / disc.semi_axis_x_m) ** 2 + (flat[:, 1] / disc.semi_axis_y_m) ** 2 <= 1]
     half = disc.thickness_m / 2 + MARGIN_M
     return np.concatenate([np.column_stack([flat, np.full(len(flat), height)]) for height in (-half, 0.0, half)])
+
+
+def yaw_certificate_ms(problem: Problem, repeats: int) -> float:
+    """Median time in which the certificate that knows the yaw is made, once for a field."""
+    taken = []
+    for _ in range(repeats + 1):
+        problem.field.kept.clear()
+        began = time.thread_time()
+        yaw_certificate(problem.field, EllipticDisc(), MARGIN_M + DELTA_P_M / 2)
+        taken.append(1e3 * (time.thread_time() - began))
+    return statistics.median(taken[1:])
 
 
 def cold_compile_s(problem: Problem) -> float:

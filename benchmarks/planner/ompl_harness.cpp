@@ -29,14 +29,15 @@ namespace og = ompl::geometric;
 
 struct Numbers {
     double lower[3], per_m, cells_per_m, unit_m, rho_max_m, delta_p_m, need_m, floor_voxels;
-    double rotation_weight, steering, goal_bias, start[4], goal[4], low[4], high[4];
-    int64_t nx, ny, nz, cx, cy, cz, n_samples, columns, pool, seed;
+    double rotation_weight, steering, goal_bias, start[4], goal[4], low[4], high[4], bins_per_rad;
+    int64_t nx, ny, nz, cx, cy, cz, n_samples, columns, pool, seed, bins, words;
 };
 
 struct Problem {
     Numbers n;
     std::vector<uint8_t> certificate, unsafe;
     std::vector<float> points;
+    std::vector<uint64_t> free;
 
     explicit Problem(const char* file) {
         std::ifstream in(file, std::ios::binary);
@@ -44,9 +45,11 @@ struct Problem {
         certificate.resize(n.cx * n.cy * n.cz);
         unsafe.resize(n.nx * n.ny * ((n.nz + 7) / 8));
         points.resize(3 * n.columns);
+        free.resize(n.bins * n.nx * n.ny * n.words);
         in.read(reinterpret_cast<char*>(certificate.data()), certificate.size());
         in.read(reinterpret_cast<char*>(unsafe.data()), unsafe.size());
         in.read(reinterpret_cast<char*>(points.data()), points.size() * sizeof(float));
+        in.read(reinterpret_cast<char*>(free.data()), free.size() * sizeof(uint64_t));
         if (!in) {
             std::fprintf(stderr, "the problem file is not complete\n");
             std::exit(2);
@@ -70,6 +73,15 @@ struct Problem {
         const int k = clipped((z - n.lower[2]) * n.cells_per_m, n.cz - 1);
         const int steps = certificate[(i * n.cy + j) * n.cz + k];
         return steps > 0 && n.unit_m * (steps - 1.0) >= n.need_m;
+    }
+
+    bool freeByYaw(double x, double y, double z, double yaw) const {
+        const int i = clipped((x - n.lower[0]) * n.per_m, n.nx - 1);
+        const int j = clipped((y - n.lower[1]) * n.per_m, n.ny - 1);
+        const int k = clipped((z - n.lower[2]) * n.per_m, n.nz - 1);
+        const double turns = yaw * n.bins_per_rad;
+        const int64_t bin = std::min<int64_t>(turns - n.bins * std::floor(turns / n.bins), n.bins - 1);
+        return free[((bin * n.nx + i) * n.ny + j) * n.words + (k >> 6)] >> (k & 63) & 1;
     }
 
     bool samplesFree(double x, double y, double z, double yaw, uint64_t bits) const {
@@ -112,7 +124,8 @@ struct Problem {
         for (int step = 0; step <= steps; ++step) {
             const double t = steps ? static_cast<double>(step) / steps : 0.0;
             const double x = a[0] + t * d[0], y = a[1] + t * d[1], z = a[2] + t * d[2];
-            if (certified(x, y, z)) continue;
+            const double yaw = a[3] * scale + t * d[3];
+            if (certified(x, y, z) || freeByYaw(x, y, z, yaw)) continue;
             if (!keyed) {
                 key = mixed(static_cast<uint64_t>(n.seed), 1);
                 for (int axis = 0; axis < 4; ++axis) {
@@ -121,7 +134,7 @@ struct Problem {
                 }
                 keyed = true;
             }
-            if (!samplesFree(x, y, z, a[3] * scale + t * d[3], mixed(key, step + 1))) return false;
+            if (!samplesFree(x, y, z, yaw, mixed(key, step + 1))) return false;
         }
         return true;
     }

@@ -61,7 +61,7 @@ class Problem:
 
     def test(self, method: str, n_samples: int = 100, seed: int = 0) -> SegmentTest:
         """Test of segments of the study's disc."""
-        settings = CheckSettings(method, n_samples=n_samples, delta_p_m=DELTA_P_M)
+        settings = CheckSettings(method, n_samples=n_samples, delta_p_m=DELTA_P_M, by_yaw=True)
         return segment_test(self.field, EllipticDisc(), MARGIN_M, settings, seed)
 
     def search(self, constraint: Any, seed: int, **options: Any) -> RrtStar:
@@ -120,12 +120,13 @@ def write_problem(problem: Problem, n_samples: int, file: pathlib.Path) -> None:
             *GOAL,
             *LOWEST_POSE,
             *HIGHEST_POSE,
+            around.by_yaw.bins_per_rad,
         ],
         np.float64,
     )
     shape = lattice.nx, lattice.ny, lattice.nz
-    counts = np.array(
-        [*shape, *around.certificate.shape, n_samples, pool.points.shape[1], POOL_SIZE, test.numbers.seed], np.int64
-    )
-    arrays = numbers, counts, around.certificate, pool.unsafe, pool.points
+    free = around.by_yaw.free
+    sizes = n_samples, pool.points.shape[1], POOL_SIZE, test.numbers.seed, free.shape[0], free.shape[3]
+    counts = np.array([*shape, *around.certificate.shape, *sizes], np.int64)
+    arrays = numbers, counts, around.certificate, pool.unsafe, pool.points, free
     file.write_bytes(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays))

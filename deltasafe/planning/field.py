@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,6 +157,11 @@ class SafetyField:
             )
             self._slabs[half] = _looked_up(np.minimum(steps, 255).astype(np.uint8), squared)
         return self._slabs[half]
+
+    @functools.cached_property
+    def kept(self) -> dict[Any, Any]:
+        """What others have made from the field, by what they made it for; it lives as long as the field."""
+        return {}
 
     @functools.cached_property
     def _slabs(self) -> dict[int, NDArray[np.uint8]]:

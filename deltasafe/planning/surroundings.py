@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from deltasafe.compiling import compiled
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.field import Lattice, SafetyField
+from deltasafe.planning.yaw_certificate import YawCertificate, no_yaw_certificate, yaw_certificate
 
 __all__ = ["UNIT_M", "BodyNumbers", "Surroundings", "surroundings_of"]
 
@@ -34,6 +35,7 @@ class Surroundings(NamedTuple):
     Attributes:
         certificate: (cx, cy, cz) uint8, the distance certificate: v > 0 says that the body is clear by v - 1 units
             wherever in the cell its centre is and however it is turned; 0 says nothing.
+        by_yaw: another one, finer, that knows the yaw; may be empty.
         above: (nx, ny, nz) uint8, the clearance of any ray upwards from a voxel: v > 0 says at least v - 1 fine units.
         unsafe: (nx, ny, ceil(nz / 8)) uint8, the unsafe voxels as bits.
         few: (m, 3) few balls that contain the disc: centre in its plane in voxels, radius in the plane in m;
@@ -51,6 +53,7 @@ class Surroundings(NamedTuple):
     """
 
     certificate: NDArray[np.uint8]
+    by_yaw: YawCertificate
     above: NDArray[np.uint8]
     unsafe: NDArray[np.uint8]
     few: NDArray[np.float64]
@@ -68,12 +71,15 @@ class Surroundings(NamedTuple):
     floor_z_m: float
 
 
-def surroundings_of(field: SafetyField, body: ToolBody, margin_m: float | None) -> tuple[Surroundings, BodyNumbers]:
+def surroundings_of(
+    field: SafetyField, body: ToolBody, margin_m: float | None, by_yaw_m: float | None
+) -> tuple[Surroundings, BodyNumbers]:
     """Field and body as the tests of segments read them.
 
     Args:
         margin_m: what a pose keeps from the unsafe set; None for a test that looks at nothing finer than the
             certificate, and has no finer clearances made for it.
+        by_yaw_m: what a pose is to be shown to keep by one look-up that knows the yaw; None without that.
     """
     shaft_m = body.shaft_radius_m if body.shaft_length_m > 0 else NO_SHAFT_M
     numbers = BodyNumbers(
@@ -91,6 +97,7 @@ def surroundings_of(field: SafetyField, body: ToolBody, margin_m: float | None) 
     few = _few(body, lattice)
     around = Surroundings(
         certificate=_certificate(ball_m, ray_m, cell_m, *numbers[:3]),
+        by_yaw=no_yaw_certificate() if by_yaw_m is None else yaw_certificate(field, body, by_yaw_m),
         above=above,
         unsafe=field.unsafe_bits,
         few=few,
