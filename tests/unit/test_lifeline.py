@@ -15,8 +15,11 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.managers import SyncManager
 from deltasafe.lifeline import end_with_parent
 
+def say(what):
+    os.write(1, f"{what}\\n".encode())  # in one piece: others write there too
+
 def tell(seconds):
-    print(os.getpid(), flush=True)
+    say(os.getpid())
     time.sleep(seconds)
 
 if __name__ == "__main__":
@@ -25,11 +28,11 @@ if __name__ == "__main__":
     initializer = end_with_parent if sys.argv[2] == "held" else None
     manager = SyncManager(ctx=context)
     manager.start(initializer)
-    print(manager._process.pid, flush=True)
+    say(manager._process.pid)
     pool = ProcessPoolExecutor(2, context, initializer)
     jobs = [pool.submit(tell, seconds) for seconds in (60.0, 0.5)]
     jobs[1].result()
-    print("ready", flush=True)
+    say("ready")
     time.sleep(60)
 """
 
