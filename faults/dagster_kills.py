@@ -6,6 +6,7 @@
 import collections
 import contextlib
 import dataclasses
+import math
 import os
 import pathlib
 import shutil
@@ -14,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from random import Random
 
 import dagster as dg
@@ -29,7 +30,8 @@ __all__ = ["Outcome", "Stage", "kill_under_dagster", "main"]
 LONGEST_S = 120.0
 LEAVING_S = 8.0
 """Time to take one's leave; less than a step of the location that nobody needs any more would still take."""
-AT_ONCE = 3
+AT_ONCE = 4
+"""As many as the home lets run."""
 LOCATION = "faults.dagster_location"
 PROTECTIONS = ("lifeline", "lost_runs")
 EVERYTHING = "everything"
@@ -132,6 +134,21 @@ class Stage:
             return False
         return True
 
+    def has_ended(self, name: str) -> bool:
+        """Whether the run is over."""
+        run = self.run(name)
+        return run is not None and run.is_finished
+
+    def is_at_work(self, kind: str, name: str, during: str) -> bool:
+        """Whether a run has begun (the step ``during`` if that is not empty), and has a step if one is to be killed."""
+        run = self.run(name)
+        if run is None or run.status in (dg.DagsterRunStatus.NOT_STARTED, dg.DagsterRunStatus.QUEUED):
+            return False
+        begun = self.instance.all_logs(run.run_id, of_type=dg.DagsterEventType.STEP_START) if during else []
+        if during and not any(entry.step_key == during for entry in begun):
+            return run.is_finished
+        return kind != "step" or run.is_finished or self._pid_of(kind, name) is not None
+
     def _pid_of(self, kind: str, name: str) -> int | None:
         run = self.run(name)
         if run is None or run.is_finished:
@@ -170,7 +187,7 @@ def kill_under_dagster(
     during: str = "",
     longest_s: float = LONGEST_S,
 ) -> Outcome:
-    """Runs by threes (``at_once``), each hit once; one that has not ended after ``longest_s`` is stuck.
+    """Runs by fours (``at_once``), each hit once; one that has not ended after ``longest_s`` is stuck.
 
     Args:
         during: the step that must have begun before its run is hit; any or none if empty.
@@ -178,16 +195,7 @@ def kill_under_dagster(
     random, outcome = Random(seed), Outcome()
     while outcome.kills.total() < count and len(outcome.wrong) < 5:
         names = [stage.ask() for _ in range(at_once)]
-        hit_s = {}
-        for name in names:
-            kind = random.choice(kinds)
-            _wait_until_at_work(stage, name, during)
-            time.sleep(random.uniform(0.0, 4.0))
-            outcome.kills[kind] += stage.kill(kind, name)
-            hit_s[name] = time.monotonic()
-            if kind in ("daemon", EVERYTHING):
-                time.sleep(random.uniform(0.0, 3.0))
-                stage.start_daemon()
+        hit_s = _strike(stage, {name: random.choice(kinds) for name in names}, during, random, outcome)
         for name in names:
             while (run := stage.run(name)) is None or run.status not in ENDED:
                 if time.monotonic() - hit_s[name] > longest_s:
@@ -202,15 +210,27 @@ def kill_under_dagster(
     return outcome
 
 
-def _wait_until_at_work(stage: Stage, name: str, during: str) -> None:
-    until = time.monotonic() + LONGEST_S
-    while time.monotonic() < until:
-        run = stage.run(name)
-        if run is not None and run.status not in (dg.DagsterRunStatus.NOT_STARTED, dg.DagsterRunStatus.QUEUED):
-            begun = stage.instance.all_logs(run.run_id, of_type=dg.DagsterEventType.STEP_START) if during else []
-            if not during or any(entry.step_key == during for entry in begun):
-                return
+def _strike(stage: Stage, kinds: Mapping[str, str], during: str, random: Random, outcome: Outcome) -> dict[str, float]:
+    """Hit each run once, at a random instant after there is something to be hit; when that was."""
+    due_s: dict[str, float] = {}
+    hit_s: dict[str, float] = {}
+    until_s = time.monotonic() + LONGEST_S
+    while len(hit_s) < len(kinds):
+        for name, kind in kinds.items():
+            if name not in due_s and (stage.is_at_work(kind, name, during) or time.monotonic() > until_s):
+                due_s[name] = time.monotonic() + random.uniform(0.0, 4.0)
+            if name in hit_s or time.monotonic() < due_s.get(name, math.inf):
+                continue
+            killed = stage.kill(kind, name)
+            if not killed and not stage.has_ended(name) and time.monotonic() < until_s:
+                continue  # between two of its steps
+            outcome.kills[kind] += killed
+            hit_s[name] = time.monotonic()
+            if kind in ("daemon", EVERYTHING):
+                time.sleep(random.uniform(0.0, 3.0))
+                stage.start_daemon()
         time.sleep(0.1)
+    return hit_s
 
 
 def main(arguments: list[str] | None = None) -> int:

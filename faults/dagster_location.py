@@ -17,7 +17,7 @@ from pipelines.lost_runs import fail_lost_runs
 __all__ = ["defs"]
 
 HOME = pathlib.Path(os.environ["DELTASAFE_HOME"])
-STEP_S, LONG_STEP_S = 1.5, 30.0
+STEP_S, LONG_STEP_S = 1.5, 20.0
 
 
 class _Pointers(FolderPointers):
