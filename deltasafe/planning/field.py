@@ -137,7 +137,8 @@ class SafetyField:
             distances, and by how much the body may rise or sink without meeting further slices.
         """
         lattice = self.arrays.lattice
-        half = math.ceil(half_height_m / lattice.voxel_m + LEAST_RISE)
+        # even: margins that differ by little share their slabs
+        half = 2 * math.ceil((half_height_m / lattice.voxel_m + LEAST_RISE) / 2)
         return self._slab(half), half * lattice.voxel_m - half_height_m
 
     @property
