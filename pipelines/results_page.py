@@ -60,7 +60,9 @@ LINES: dict[str, tuple[Line, ...]] = {
     ),
     "Planner": (
         Line("planner", "ratio_ompl_cpp", "RRT* of OMPL in C++ takes so many times as long", ".1f", 6),
+        Line("planner", "ratio_ompl_cpp_by_yaw", "the same, given our certificate that knows the yaw", ".1f"),
         Line("planner", "ratio_ompl_wheel_numba", "that of its wheel, with a compiled test", ".1f", 15),
+        Line("planner", "ratio_ompl_wheel_numba_by_yaw", "the same, given that certificate", ".1f"),
         Line("planner", "cost_to_ompl_cpp", "cost of our path over that of OMPL's", ".3f", at_most=1),
         Line("planner", "ratio_exact_to_sampled", "continuous test over sampled one, in time", ".2f", at_most=1.5),
         Line("planner", "audit_unsafe", "unsafe poses in 1000 returned paths, looked at every mm", "g", at_most=0),

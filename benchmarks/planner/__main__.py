@@ -37,12 +37,14 @@ def main(arguments: list[str] | None = None) -> int:
         files = {name: pathlib.Path(folder) / f"{number}.bin" for number, name in enumerate(made)}
         for name, problem in made.items():
             write_problem(problem, 100, files[name])
+        given = {"_by_yaw": files["cluttered"], "": pathlib.Path(folder) / "without-yaw.bin"}
+        write_problem(cluttered, 100, given[""], by_yaw=False)
         if program is None:
             say("no OMPL in C++ here (apt: libompl-dev, g++): left out")
         if not wheel:
             say("no wheel of OMPL here (pip install ompl): left out")
         for title, (found, gained) in {
-            "ompl": measures.against_ompl(cluttered, iterations, repeats, program, files["cluttered"], wheel),
+            "ompl": measures.against_ompl(cluttered, iterations, repeats, program, given, wheel),
             "flatness": measures.flatness(cluttered, iterations, repeats),
             "growth": measures.growth(cluttered, iterations, many, max(2, repeats // 3)),
         }.items():

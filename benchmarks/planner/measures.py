@@ -64,21 +64,32 @@ def ratio(found: Mapping[str, Mapping[str, Any]], slow: str, fast: str) -> float
 
 
 def against_ompl(
-    problem: Problem, iterations: int, repeats: int, program: pathlib.Path | None, file: pathlib.Path, with_wheel: bool
+    problem: Problem,
+    iterations: int,
+    repeats: int,
+    program: pathlib.Path | None,
+    files: Mapping[str, pathlib.Path],
+    with_wheel: bool,
 ) -> tuple[dict[str, Any], dict[str, float]]:
-    """RRT* of so many iterations with each test, and OMPL's with the sampled one; neither informed nor refined."""
+    """RRT* of so many iterations with each test, and OMPL's with the sampled one; neither informed nor refined.
+
+    OMPL is given the test as one writes it (samples, and the certificate without yaw), and ``..._by_yaw`` all that ours
+    has. Both give the same answers.
+    """
     tests = {method: problem.test(method) for method in ("sampled", "exact", "continuous")}
     runs: dict[str, Run] = {
         method: functools.partial(problem.iterations, test, iterations) for method, test in tests.items()
     }
-    if program is not None:
-        runs["ompl_cpp"] = functools.partial(harness, program, file, "RRTstar", iterations)
-    if with_wheel:
-        runs["ompl_wheel_numba"] = functools.partial(wheel, problem, tests["sampled"], "RRTstar", iterations)
+    for name, by_yaw in (("", False), ("_by_yaw", True)):
+        if program is not None:
+            runs["ompl_cpp" + name] = functools.partial(harness, program, files[name], "RRTstar", iterations)
+        if with_wheel:
+            test = problem.test("sampled", by_yaw=by_yaw)
+            runs["ompl_wheel_numba" + name] = functools.partial(wheel, problem, test, "RRTstar", iterations)
     found = turns(runs, repeats)
     figures = {"ratio_exact_to_sampled": ratio(found, "continuous", "sampled")}
-    for name in ("ompl_cpp", "ompl_wheel_numba"):
-        if name in found:
+    for name in found:
+        if name.startswith("ompl"):
             figures[f"ratio_{name}"] = ratio(found, name, "sampled")
             figures[f"cost_to_{name}"] = found["sampled"]["mean_cost"] / found[name]["mean_cost"]
     return found, figures

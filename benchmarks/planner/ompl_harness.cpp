@@ -76,6 +76,7 @@ struct Problem {
     }
 
     bool freeByYaw(double x, double y, double z, double yaw) const {
+        if (n.bins == 0) return false;
         const int i = clipped((x - n.lower[0]) * n.per_m, n.nx - 1);
         const int j = clipped((y - n.lower[1]) * n.per_m, n.ny - 1);
         const int k = clipped((z - n.lower[2]) * n.per_m, n.nz - 1);

@@ -59,9 +59,9 @@ class Problem:
         """{p_occupied > 0.05} of a linear decay over 2 cm."""
         return SafetyField.build(grid_from_shapes(self.scene.shapes, DECAY_M, *WORKSPACE_M, 0.005), DELTA)
 
-    def test(self, method: str, n_samples: int = 100, seed: int = 0) -> SegmentTest:
+    def test(self, method: str, n_samples: int = 100, seed: int = 0, by_yaw: bool = True) -> SegmentTest:
         """Test of segments of the study's disc."""
-        settings = CheckSettings(method, n_samples=n_samples, delta_p_m=DELTA_P_M, by_yaw=True)
+        settings = CheckSettings(method, n_samples=n_samples, delta_p_m=DELTA_P_M, by_yaw=by_yaw)
         return segment_test(self.field, EllipticDisc(), MARGIN_M, settings, seed)
 
     def search(self, constraint: Any, seed: int, **options: Any) -> RrtStar:
@@ -99,9 +99,9 @@ def problems() -> dict[str, Problem]:
     return {scene.name: Problem(scene) for scene in scenes}
 
 
-def write_problem(problem: Problem, n_samples: int, file: pathlib.Path) -> None:
+def write_problem(problem: Problem, n_samples: int, file: pathlib.Path, by_yaw: bool = True) -> None:
     """The sampled test of a problem as the harness in C++ reads it."""
-    test = problem.test("sampled", n_samples)
+    test = problem.test("sampled", n_samples, by_yaw=by_yaw)
     lattice, around, pool = test.around.lattice, test.around, test.pool
     numbers = np.array(
         [
