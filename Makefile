@@ -69,7 +69,7 @@ benchmarks: $(STAMP)
 results: $(STAMP)
 	$(BIN)/python -m pipelines.results_page
 
-# malformed inputs, changed bytes, kills, hundreds of runs in one process: each command fails if one promise of docs/reliability.md does not hold
+# malformed inputs, changed bytes, kills, a hundred runs in one process: each command fails if one promise of docs/reliability.md does not hold
 faults: $(STAMP)
 	$(BIN)/python -m faults.inputs --record docs/results/reliability.json
 	$(BIN)/python -m faults.flips --record docs/results/reliability.json

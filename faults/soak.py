@@ -1,4 +1,4 @@
-"""Hundreds of runs one after another in one process: memory, open files and threads stay what they were.
+"""A hundred runs one after another in one process: memory, open files and threads stay what they were.
 
 A run materialises what is cheap of the chain, with the project's definitions, I/O manager, tracker and registry:
 labelled images, an augmented set, a calibration report, the ensemble in use, a scene, its field and a motion. Dagster
@@ -139,7 +139,7 @@ def _config(home: pathlib.Path) -> dict[str, Any]:
 def main(arguments: list[str] | None = None) -> int:
     """``python -m faults.soak``."""
     made = parser(__doc__)
-    made.add_argument("--count", type=int, default=200, help="runs that are measured (default 200)")
+    made.add_argument("--count", type=int, default=100, help="runs that are measured (default 100)")
     made.add_argument("--warm-up", type=int, default=20, help="runs before them (default 20)")
     options = made.parse_args(arguments)
     os.environ["DELTASAFE_PRESET"] = "smoke"
