@@ -17,7 +17,7 @@ from deltasafe.planning.field import SafetyField
 __all__ = ["YawCertificate", "is_free_by_yaw", "no_yaw_certificate", "yaw_certificate"]
 
 BINS = 8
-"""Of half a turn, after which the disc is the same; more settle little more (8: 74 %, 32: 79 % in a crowded scene)."""
+"""Of half a turn, after which the disc is the same; more of them settle little more."""
 
 WIDE = 0.75
 """Share of the margin from which on layers above and below the disc count as if they were beside it."""
