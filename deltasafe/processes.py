@@ -21,13 +21,19 @@ def start_ticks(pid: int) -> int | None:
     """
     if not pathlib.Path("/proc/self/stat").is_file():
         return None
-    try:
-        fields = pathlib.Path("/proc", str(pid), "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    except OSError:
-        raise ProcessLookupError(pid) from None
-    if fields[0] in "ZX":
+    fields = _running(pathlib.Path("/proc", str(pid), "stat"))
+    if fields is None:
         raise ProcessLookupError(pid)
     return int(fields[19])
+
+
+def _running(stat: pathlib.Path) -> list[str] | None:
+    """Fields of a process from its state on; None if it has ended, whether or not it was waited for."""
+    try:
+        fields = stat.read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return None
+    return None if fields[0] in "ZX" else fields
 
 
 def stop_session(leader: subprocess.Popen, patience_s: float = 30.0) -> None:
@@ -53,11 +59,7 @@ def stop_session(leader: subprocess.Popen, patience_s: float = 30.0) -> None:
 def _is_at_work(group: int) -> bool:
     """Whether a process of the group still runs; one that only has to be waited for, by whomever, does not."""
     stats = list(pathlib.Path("/proc").glob("[0-9]*/stat"))
-    for stat in stats:
-        with contextlib.suppress(OSError):
-            state, _, of_group = stat.read_text(encoding="utf-8").rpartition(")")[2].split()[:3]
-            if int(of_group) == group and state not in "ZX":
-                return True
     if not stats:
         os.killpg(group, 0)
-    return not stats
+        return True
+    return any(int(fields[2]) == group for fields in map(_running, stats) if fields is not None)

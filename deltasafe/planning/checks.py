@@ -255,23 +255,20 @@ def _continuous(around, body, numbers, start, end):  # type: ignore[no-untyped-d
     rise_m = abs(end[2] - start[2])
     level_reach_m = around.slab_m * motion_m / rise_m if rise_m > 0 else np.inf
     slope = rise_m / motion_m if motion_m > 0 else 0.0
+    by_yaw_m = around.by_yaw.clear_m - numbers.margin_m  # negative where there is no such certificate
     shown_m, reach_m = 0.0, 0.5 * motion_m
     while True:
         along_m = min(shown_m + reach_m, motion_m)
         reach_m = along_m - shown_m  # what the pose looked at must be clear by, beyond the margin
         x, y, z, yaw = _at(start, end, along_m / motion_m if motion_m > 0 else 0.0)
         free_m, next_m = certified_clearance_m(around, x, y, z) - numbers.margin_m, 0.0
-        if free_m < reach_m:
-            by_yaw_m = around.by_yaw.clear_m - numbers.margin_m
-            if by_yaw_m > 0 and is_free_by_yaw(around.by_yaw, around.lattice, x, y, z, yaw):
-                if reach_m > by_yaw_m:
-                    reach_m = SHORTER * by_yaw_m
-                    continue
-                shown_m = along_m + max(free_m, by_yaw_m)
-                if shown_m >= motion_m:
-                    return True
+        known = free_m >= reach_m
+        if not known and by_yaw_m > 0 and is_free_by_yaw(around.by_yaw, around.lattice, x, y, z, yaw):
+            if reach_m > by_yaw_m:
                 reach_m = SHORTER * by_yaw_m
                 continue
+            free_m = by_yaw_m
+        elif not known:
             if reach_m > level_reach_m:
                 reach_m = SHORTER * level_reach_m
                 continue

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from deltasafe.compiling import inlined, kernel
-from deltasafe.planning.field import FINE_UNIT_M, SLAB_REACH_M, clearance_at, close_clearance_at
+from deltasafe.planning.field import FINE_UNIT_M, SLAB_REACH_M, clearance_at, close_clearance_at, voxel_of
 from deltasafe.planning.surroundings import UNIT_M
 
 __all__ = [
@@ -127,10 +127,7 @@ def is_surely_unsafe(around, body, x, y, z, yaw):  # type: ignore[no-untyped-def
 @inlined
 def _is_unsafe_at(around, x, y, z):  # type: ignore[no-untyped-def]
     """Whether a point lies in an unsafe voxel, or beside the field."""
-    lattice = around.lattice
-    i = int(min(max((x - lattice.lower_x_m) * lattice.per_m, 0.0), lattice.nx - 1.0))
-    j = int(min(max((y - lattice.lower_y_m) * lattice.per_m, 0.0), lattice.ny - 1.0))
-    k = int(min(max((z - lattice.lower_z_m) * lattice.per_m, 0.0), lattice.nz - 1.0))
+    i, j, k = voxel_of(around.lattice, x, y, z)
     return (around.unsafe[i, j, k >> 3] >> (k & 7)) & 1 == 1
 
 

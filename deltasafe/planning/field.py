@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import compiled, kernel
+from deltasafe.compiling import compiled, inlined, kernel
 from deltasafe.errors import SettingsError
 from deltasafe.planning.distances import MOST_VOXELS, squared_distance_in_slabs, squared_distance_to_voxels
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "close_clearance_at"]
+__all__ = ["FieldArrays", "Lattice", "SafetyField", "clearance_at", "close_clearance_at", "voxel_of"]
 
 REACH_M = 0.06
 """Clearances are exact up to this distance and capped there; beyond it the coarse grid has a bound."""
@@ -193,6 +193,15 @@ class SafetyField:
         """
         points_m = np.ascontiguousarray(points_m, dtype=np.float64)
         return np.asarray(_clearances(self.arrays, points_m))
+
+
+@inlined
+def voxel_of(lattice, x, y, z):  # type: ignore[no-untyped-def]
+    """The voxel (i, j, k) that holds a point; the nearest one of the lattice if the point is beside it."""
+    i = int(min(max((x - lattice.lower_x_m) * lattice.per_m, 0.0), lattice.nx - 1.0))
+    j = int(min(max((y - lattice.lower_y_m) * lattice.per_m, 0.0), lattice.ny - 1.0))
+    k = int(min(max((z - lattice.lower_z_m) * lattice.per_m, 0.0), lattice.nz - 1.0))
+    return i, j, k
 
 
 @kernel

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compiling import compiled, inlined
 from deltasafe.planning.body import ToolBody
-from deltasafe.planning.field import SafetyField
+from deltasafe.planning.field import SafetyField, voxel_of
 
 __all__ = ["YawCertificate", "is_free_by_yaw", "no_yaw_certificate", "yaw_certificate"]
 
@@ -75,9 +75,7 @@ def yaw_certificate(field: SafetyField, body: ToolBody, clear_m: float) -> YawCe
 @inlined
 def is_free_by_yaw(certificate, lattice, x, y, z, yaw):  # type: ignore[no-untyped-def]
     """Whether the certificate shows that the body keeps ``clear_m`` at a pose; it must not be empty."""
-    i = int(min(max((x - lattice.lower_x_m) * lattice.per_m, 0.0), lattice.nx - 1.0))
-    j = int(min(max((y - lattice.lower_y_m) * lattice.per_m, 0.0), lattice.ny - 1.0))
-    k = int(min(max((z - lattice.lower_z_m) * lattice.per_m, 0.0), lattice.nz - 1.0))
+    i, j, k = voxel_of(lattice, x, y, z)
     turns = yaw * certificate.bins_per_rad
     turns -= BINS * math.floor(turns / BINS)
     word = certificate.free[min(int(turns), BINS - 1), i, j, k >> 6]

@@ -9,6 +9,8 @@ import time
 
 import pytest
 
+from deltasafe.processes import start_ticks
+
 PROGRAM = """
 import multiprocessing, os, sys, time
 from concurrent.futures import ProcessPoolExecutor
@@ -39,10 +41,10 @@ if __name__ == "__main__":
 
 def is_alive(pid):
     try:
-        state = pathlib.Path("/proc", str(pid), "stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
+        start_ticks(pid)
+    except ProcessLookupError:
         return False
-    return state not in "ZX"
+    return True
 
 
 @pytest.mark.parametrize("method", ["spawn", "forkserver"])
