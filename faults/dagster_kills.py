@@ -222,8 +222,8 @@ def _strike(stage: Stage, kinds: Mapping[str, str], during: str, random: Random,
             if name in hit_s or time.monotonic() < due_s.get(name, math.inf):
                 continue
             killed = stage.kill(kind, name)
-            if not killed and not stage.has_ended(name) and time.monotonic() < until_s:
-                continue  # between two of its steps
+            if not killed and kind != EVERYTHING and not stage.has_ended(name) and time.monotonic() < until_s:
+                continue  # between two of its steps, or before its worker has reported itself
             outcome.kills[kind] += killed
             hit_s[name] = time.monotonic()
             if kind in ("daemon", EVERYTHING):
