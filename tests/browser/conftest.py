@@ -5,7 +5,8 @@ import pathlib
 
 import pytest
 
-from tests.browser.service import CHROMIUM_VARIABLE, PATIENT_MS, find_chromium, serve
+from tests.browser.service import CHROMIUM_VARIABLE, PATIENT_MS, find_chromium
+from tests.loopback import serve
 
 SCREENSHOTS_VARIABLE = "DELTASAFE_SCREENSHOTS"
 
@@ -27,7 +28,7 @@ def browser():
 def ui(browser, tmp_path_factory):
     """Address of the Dagster UI."""
     folder = tmp_path_factory.mktemp("ui")
-    with serve(folder / "home", "smoke", folder / "ui.log") as address:
+    with serve(folder / "home", "smoke", folder / "ui.log") as (address, _):
         yield address
 
 

@@ -12,7 +12,8 @@ from playwright.sync_api import sync_playwright
 from deltasafe.presets import VARIABLE
 from pipelines.home import home
 from tests.browser.clicks import open_asset, open_graph_of_the_chain, open_markdown, show_navigation
-from tests.browser.service import CHROMIUM_VARIABLE, PATIENT_MS, find_chromium, serve
+from tests.browser.service import CHROMIUM_VARIABLE, PATIENT_MS, find_chromium
+from tests.loopback import serve
 
 
 def main():
@@ -27,7 +28,7 @@ def main():
         if chromium is None:
             print(f"there is no Chromium: install one, or name it in ${CHROMIUM_VARIABLE}", file=sys.stderr)
             return 1
-        with serve(home(), preset, pathlib.Path(folder, "ui.log")) as address:
+        with serve(home(), preset, pathlib.Path(folder, "ui.log")) as (address, _):
             browser = playwright.chromium.launch(executable_path=chromium)
             size = {"width": 1500, "height": 1000}
             context = browser.new_context(viewport=size, base_url=address, device_scale_factor=1.5)

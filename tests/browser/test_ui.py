@@ -66,6 +66,16 @@ def gate(miou):
     return f"ops:\n  calibration_report_may_be_frozen:\n    config:\n      miou: {miou}\n"
 
 
+def end_of_a_run_with(page, miou):
+    """Of the calibration report, materialised with that gate."""
+    open_asset(page, "calibration_report")
+    launchpad = open_launchpad(page)
+    configure(page, gate(miou))
+    launchpad.get_by_text("No errors").wait_for()
+    launchpad.get_by_role("button", name="Materialize").click()
+    return end_of_run(page)
+
+
 def test_a_newcomer_finds_the_chain_and_its_groups(page, screenshot):
     navigate(page, "Catalog")
     for group, names in CHAIN.items():
@@ -130,24 +140,14 @@ def test_a_setting_of_the_wrong_type_is_refused_while_it_is_written(page, screen
 
 
 def test_a_setting_that_makes_no_sense_is_refused_before_anything_is_computed(page, screenshot, outcome):
-    open_asset(page, "calibration_report")
-    launchpad = open_launchpad(page)
-    configure(page, gate(3.0))
-    launchpad.get_by_text("No errors").wait_for()
-    launchpad.get_by_role("button", name="Materialize").click()
-    assert end_of_run(page) == "Failure"
+    assert end_of_a_run_with(page, 3.0) == "Failure"
     page.get_by_text("nothing was run, since settings are wrong").first.wait_for()
     screenshot("refused")
     assert page.get_by_text("miou must lie in").first.is_visible()
 
 
 def test_the_page_of_a_failed_check_names_its_reason(page, screenshot, outcome):
-    open_asset(page, "calibration_report")
-    launchpad = open_launchpad(page)
-    configure(page, gate(0.999))
-    launchpad.get_by_text("No errors").wait_for()
-    launchpad.get_by_role("button", name="Materialize").click()
-    assert end_of_run(page) == "Failure"
+    assert end_of_a_run_with(page, 0.999) == "Failure"
     open_asset(page, "calibration_report", tab="Checks")
     page.get_by_text("may_be_frozen", exact=True).first.click()
     page.get_by_text(re.compile(r"^mIoU is 0\.\d{4} and must be at least 0\.999$")).wait_for()

@@ -5,7 +5,6 @@ import json
 import multiprocessing
 import os
 import pathlib
-import socket
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ from pipelines.home import TRACKING_VARIABLE, tracking_uri
 from pipelines.mlflow_records import EXPERIMENT
 from pipelines.pending import PendingCalls
 from pipelines.tracking import MlflowTracker, is_reachable
+from tests.loopback import free_ports
 
 IDENTITY = "i" * 64
 
@@ -85,16 +85,10 @@ def test_a_report_goes_to_the_run_of_its_ensemble_with_its_files_and_images(tmp_
 # a server that comes and goes -----------------------------------------------------------------------------------
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @pytest.fixture
 def server(tmp_path, monkeypatch):
     """An address at which nobody answers, and how to start the server there."""
-    port = free_port()
+    (port,) = free_ports(1)
     uri = f"http://127.0.0.1:{port}"
     monkeypatch.setenv(TRACKING_VARIABLE, uri)
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "1")

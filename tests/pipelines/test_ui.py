@@ -3,16 +3,15 @@
 import ipaddress
 import os
 import pathlib
-import signal
 import socket
 import subprocess
 import sys
-import time
-import urllib.request
+import urllib.parse
 
 import pytest
 
-ROOT = pathlib.Path(__file__).parents[2]
+from tests.loopback import serve
+
 LISTENS = "0A"
 
 
@@ -42,22 +41,6 @@ def parsed(address):
     return ipaddress.ip_address(b"".join(word[::-1] if sys.byteorder == "little" else word for word in words))
 
 
-def free_ports(count):
-    probes = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
-    ports = [probe.getsockname()[1] for probe in probes]
-    for probe in probes:
-        probe.close()
-    return ports
-
-
-def answers(port):
-    try:
-        urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5).close()
-    except OSError:
-        return False
-    return True
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="sockets are looked up in /proc")
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0", "::"])
 def test_what_listens_is_seen_with_its_address(address):
@@ -79,20 +62,7 @@ def test_what_listens_is_seen_with_its_address(address):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="sockets are looked up in /proc")
 def test_it_listens_on_loopback_alone(tmp_path):
-    dagster, mlflow = free_ports(2)
-    elsewhere = ("DAGSTER_HOME", "MLFLOW_TRACKING_URI", "DELTASAFE_DAGSTER_UI", "DELTASAFE_MLFLOW_UI")
-    environment = {name: value for name, value in os.environ.items() if name not in elsewhere}
-    environment["DELTASAFE_HOME"] = str(tmp_path)
-    command = [sys.executable, "-m", "pipelines.ui", "--port", str(dagster), "--mlflow-port", str(mlflow)]
-    with (tmp_path / "log").open("w") as log:
-        process = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=log, stderr=log)
-    try:
-        while not (answers(dagster) and answers(mlflow)):
-            assert process.poll() is None, (tmp_path / "log").read_text()[-4000:]
-            time.sleep(0.5)
+    with serve(tmp_path, "smoke", tmp_path / "log") as addresses:
         found = listening(f"DELTASAFE_HOME={tmp_path}".encode())
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait()
-    assert {port for _, port in found} >= {dagster, mlflow}
+    assert {port for _, port in found} >= {urllib.parse.urlsplit(address).port for address in addresses}
     assert [f"{address}:{port}" for address, port in found if not address.is_loopback] == []

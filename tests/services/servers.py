@@ -4,25 +4,16 @@ import contextlib
 import os
 import pathlib
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
+
+from tests.loopback import answers, free_ports
 
 PASSWORD = "not-to-be-found-anywhere"
 USER = "deltasafe"
 KEY, SECRET = "team-key", "secret-not-to-be-found"
-
-
-def free_ports(count):
-    """Numbers that nobody listens at."""
-    with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for one in sockets:
-            one.bind(("127.0.0.1", 0))
-        return [one.getsockname()[1] for one in sockets]
 
 
 def postgres_programs():
@@ -145,10 +136,3 @@ def object_store():
             yield store
         finally:
             store.stop()
-
-
-def answers(address):
-    """Whether a server there has something to say."""
-    with contextlib.suppress(OSError), urllib.request.urlopen(address, timeout=5):
-        return True
-    return False

@@ -21,7 +21,8 @@ from pipelines.home import DATABASE_VARIABLE
 from pipelines.machines import MACHINE_TAG
 from pipelines.mlflow_server import ARTIFACTS_VARIABLE, BACKEND_VARIABLE
 from pipelines.shared_store import STORE_VARIABLE, SharedStore
-from tests.services.servers import PASSWORD, SECRET, answers, free_ports
+from tests.loopback import answers, free_ports
+from tests.services.servers import PASSWORD, SECRET
 
 ROOT = pathlib.Path(__file__).parents[2]
 COMPOSE = yaml.safe_load((ROOT / "deploy" / "compose.yaml").read_text(encoding="utf-8"))["services"]

@@ -20,7 +20,8 @@ from pipelines.registry import EnsembleRegistry
 from pipelines.shared_store import STORE_VARIABLE, ObjectError, StoreAwayError, chosen_store, manifest_of_folder
 from pipelines.tracking import MlflowTracker
 from tests.ensembles import freeze_constant
-from tests.services.servers import PASSWORD, SECRET, answers, free_ports
+from tests.loopback import answers, free_ports
+from tests.services.servers import PASSWORD, SECRET
 
 ROOT = pathlib.Path(__file__).parents[2]
 CHAMPION, MOTIONS = dg.AssetKey("champion"), dg.AssetKey("planned_motions")
@@ -150,6 +151,7 @@ def test_a_store_that_comes_back_is_waited_for_and_one_that_does_not_is_said(tea
             pointers(tmp_path / "a").point(key, written(tmp_path / "a", "a2"))
     finally:
         s3.start()
+    monkeypatch.setattr(shared_store, "_FIRST_WAIT_S", 1.0)  # it answers before it can read
     assert version_in(pointers(tmp_path / "c").folder(key)) == "a1"
 
 
