@@ -27,6 +27,8 @@
 namespace ob = ompl::base;
 namespace og = ompl::geometric;
 
+constexpr int32_t BLOCK = 16;
+
 struct Numbers {
     double lower[3], per_m, cells_per_m, unit_m, rho_max_m, delta_p_m, need_m, floor_voxels;
     double rotation_weight, steering, goal_bias, start[4], goal[4], low[4], high[4], bins_per_rad;
@@ -35,7 +37,8 @@ struct Numbers {
 
 struct Problem {
     Numbers n;
-    std::vector<uint8_t> certificate, unsafe;
+    std::vector<uint8_t> certificate;
+    std::vector<int32_t> unsafe;
     std::vector<float> points;
     std::vector<uint64_t> free;
 
@@ -43,11 +46,11 @@ struct Problem {
         std::ifstream in(file, std::ios::binary);
         in.read(reinterpret_cast<char*>(&n), sizeof n);
         certificate.resize(n.cx * n.cy * n.cz);
-        unsafe.resize(n.nx * n.ny * ((n.nz + 7) / 8));
+        unsafe.resize(n.nx * n.ny * ((n.nz + 31) / 32));
         points.resize(3 * n.columns);
         free.resize(n.bins * n.nx * n.ny * n.words);
         in.read(reinterpret_cast<char*>(certificate.data()), certificate.size());
-        in.read(reinterpret_cast<char*>(unsafe.data()), unsafe.size());
+        in.read(reinterpret_cast<char*>(unsafe.data()), unsafe.size() * sizeof(int32_t));
         in.read(reinterpret_cast<char*>(points.data()), points.size() * sizeof(float));
         in.read(reinterpret_cast<char*>(free.data()), free.size() * sizeof(uint64_t));
         if (!in) {
@@ -90,21 +93,24 @@ struct Problem {
         const float c = std::cos(yaw), s = std::sin(yaw);
         const float u0 = (x - n.lower[0]) * n.per_m, v0 = (y - n.lower[1]) * n.per_m, w0 = (z - n.lower[2]) * n.per_m;
         const float last_u = n.nx - 1, last_v = n.ny - 1, last_w = n.nz - 1, floor = n.floor_voxels;
-        const int32_t rows = n.ny, bytes = (n.nz + 7) / 8;
+        const float a = c * p, b = s * q, e = s * p, f = c * q;
+        const int32_t rows = n.ny, columns = (n.nz + 31) / 32;
         const int64_t first = bits & (n.pool - 1);
         const float *px = points.data() + first, *py = px + n.columns, *pz = py + n.columns;
-        for (int64_t begin = 0; begin < n.n_samples; begin += 16) {
-            const int64_t end = std::min(begin + 16, n.n_samples);
-            int bad = 0;
-            for (int64_t m = begin; m < end; ++m) {
-                const float u = px[m] * p, v = py[m] * q, w = pz[m] + w0;
-                const int i = std::fmin(std::fmax(u0 + c * u - s * v, 0.0f), last_u);
-                const int j = std::fmin(std::fmax(v0 + s * u + c * v, 0.0f), last_v);
-                const int k = std::fmin(std::fmax(w, 0.0f), last_w);
-                bad |= (unsafe[(i * rows + j) * bytes + (k >> 3)] >> (k & 7)) & 1;
-                bad |= w < floor;
+        for (int64_t begin = 0; begin < n.n_samples; begin += BLOCK) {  // found and looked up by vector units
+            const int32_t left = n.n_samples - begin;
+            int32_t bad = 0;
+            for (int32_t m = 0; m < BLOCK; ++m) {
+                float u = u0 + a * px[begin + m] - b * py[begin + m];
+                float v = v0 + e * px[begin + m] + f * py[begin + m];
+                float w = w0 + pz[begin + m];
+                const int32_t below = w < floor;
+                u = u > 0 ? u : 0, v = v > 0 ? v : 0, w = w > 0 ? w : 0;
+                u = u < last_u ? u : last_u, v = v < last_v ? v : last_v, w = w < last_w ? w : last_w;
+                const int32_t k = w, column = static_cast<int32_t>(u) * rows + static_cast<int32_t>(v);
+                bad |= ((unsafe[column * columns + (k >> 5)] >> (k & 31)) | below) & static_cast<int32_t>(m < left);
             }
-            if (bad) return false;
+            if (bad & 1) return false;
         }
         return true;
     }

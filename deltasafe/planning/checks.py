@@ -28,11 +28,8 @@ __all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_se
 
 METHODS = ("sampled", "exact", "continuous")
 MOST_SAMPLES = 16384
-GLANCE_M = 0.04
+GLANCE_M = 0.08
 """Motion between the few poses where a plain refusal is looked for; decides the time, not the answer."""
-
-LOOK_CLOSELY_M = 0.002
-"""Motion from a pose to what is shown so far, from which on the cover is asked."""
 
 BY_YAW_M = 0.01
 """Motion that ``continuous`` shows to be safe by one look-up of the certificate that knows the yaw."""
@@ -42,9 +39,6 @@ STEP_M = 0.001
 
 SHORTER = 0.98
 """A step is so much shorter than what it would be if nothing came nearer: no answer hangs on the last bit."""
-
-MANY_SAMPLES = 200
-"""From so many samples on, the exact test looks at a pose first: what it shows to be free holds no unsafe sample."""
 
 Array = NDArray[np.float64]
 
@@ -83,8 +77,6 @@ class CheckSettings:
         for name in ("delta_p_m", "resolution_m"):
             if not (math.isfinite(getattr(self, name)) and 1e-5 <= getattr(self, name) <= 0.1):
                 raise SettingsError(f"{name} must be between 1e-5 and 0.1 m, got {getattr(self, name)}")
-        if self.resolution_m > LOOK_CLOSELY_M:
-            raise SettingsError(f"resolution_m must be at most {LOOK_CLOSELY_M} m, got {self.resolution_m}")
 
 
 class CheckNumbers(NamedTuple):
@@ -128,7 +120,7 @@ def segment_test(
     around, numbers = surroundings_of(
         field,
         body,
-        margin_m + between_m if _looks_first(method, n_samples) else None,
+        margin_m + between_m if settings.method != "sampled" else None,
         margin_m + (between_m or BY_YAW_M) if settings.by_yaw else None,
     )
     return SegmentTest(
@@ -204,7 +196,7 @@ def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyp
     """``exact`` and ``sampled``: poses at most Delta_p apart, both ends included, with margin for the way between."""
     steps = math.ceil(_motion(body.rho_max_m, start, end) / numbers.delta_p_m)
     need_m = numbers.margin_m + numbers.delta_p_m / 2
-    looks, height_m = _looks_first(numbers.method, pool.n_samples), body.half_thickness_m + need_m
+    height_m = body.half_thickness_m + need_m
     key, keyed, step = np.uint64(0), False, 0
     while step <= steps:
         x, y, z, yaw = _at(start, end, step / max(steps, 1))
@@ -216,10 +208,9 @@ def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyp
                 continue
         if around.by_yaw.clear_m >= need_m and is_free_by_yaw(around.by_yaw, around.lattice, x, y, z, yaw):
             continue
-        if looks and level_clearance(around, body, x, y, z, yaw, need_m, True, height_m) >= need_m:
-            continue
         if numbers.method == 1:
-            if not is_certified(around, x, y, z, need_m):
+            looked_m = level_clearance(around, body, x, y, z, yaw, need_m, height_m)
+            if looked_m < need_m and not is_certified(around, x, y, z, need_m):
                 return False
         else:
             if not keyed:
@@ -230,37 +221,34 @@ def _at_poses(around, body, pool, numbers, start, end):  # type: ignore[no-untyp
 
 
 @inlined
-def _looks_first(method, n_samples):  # type: ignore[no-untyped-def]
-    """Whether clearances finer than the certificate are looked at: not where few samples are as quick."""
-    return method != 0 or n_samples >= MANY_SAMPLES
-
-
-@inlined
 def _continuous(around, body, numbers, start, end):  # type: ignore[no-untyped-def]
     """From pose to pose, each shown to be clear by the margin and by the motion between it and what is shown so far.
 
     Most refusals are plain: they are looked for first, at few poses, before anything is shown to be safe.
     """
     motion_m = _motion(body.rho_max_m, start, end)
-    n_glances, glance = 1 + int(motion_m / GLANCE_M), 0
+    n_glances, glance = 1 + int(motion_m * (1 / GLANCE_M)), 0
+    per_glance = 1.0 / n_glances
     while glance < n_glances:
-        x, y, z, yaw = _at(start, end, (glance + 0.5) / n_glances)
+        x, y, z, yaw = _at(start, end, (glance + 0.5) * per_glance)
         free_m = certified_clearance_m(around, x, y, z)
         if free_m >= numbers.margin_m:  # and so are the poses within that way
-            glance += 1 + int((free_m - numbers.margin_m) / GLANCE_M)
+            glance += 1 + int((free_m - numbers.margin_m) * (1 / GLANCE_M))
             continue
         if is_surely_unsafe(around, body, x, y, z, yaw):
             return False
         glance += 1
     rise_m = abs(end[2] - start[2])
     level_reach_m = around.slab_m * motion_m / rise_m if rise_m > 0 else np.inf
-    slope = rise_m / motion_m if motion_m > 0 else 0.0
+    per_m = 1.0 / motion_m if motion_m > 0 else 0.0
+    slope = rise_m * per_m
     by_yaw_m = around.by_yaw.clear_m - numbers.margin_m  # negative where there is no such certificate
-    shown_m, reach_m = 0.0, 0.5 * motion_m
+    start_m = certified_clearance_m(around, start[0], start[1], start[2]) - numbers.margin_m
+    shown_m, reach_m = 0.0, min(SHORTER * max(start_m, by_yaw_m, STEP_M), 0.5 * motion_m)
     while True:
         along_m = min(shown_m + reach_m, motion_m)
         reach_m = along_m - shown_m  # what the pose looked at must be clear by, beyond the margin
-        x, y, z, yaw = _at(start, end, along_m / motion_m if motion_m > 0 else 0.0)
+        x, y, z, yaw = _at(start, end, along_m * per_m)
         free_m, next_m = certified_clearance_m(around, x, y, z) - numbers.margin_m, 0.0
         known = free_m >= reach_m
         if not known and by_yaw_m > 0 and is_free_by_yaw(around.by_yaw, around.lattice, x, y, z, yaw):
@@ -272,18 +260,16 @@ def _continuous(around, body, numbers, start, end):  # type: ignore[no-untyped-d
             if reach_m > level_reach_m:
                 reach_m = SHORTER * level_reach_m
                 continue
-            closely = reach_m <= LOOK_CLOSELY_M
             height_m = body.half_thickness_m + numbers.margin_m + reach_m * slope
-            level_m = level_clearance(around, body, x, y, z, yaw, numbers.margin_m + reach_m, closely, height_m)
+            level_m = level_clearance(around, body, x, y, z, yaw, numbers.margin_m + reach_m, height_m)
             level_m -= numbers.margin_m
             if level_m < reach_m:
                 if reach_m <= numbers.resolution_m:
                     return False
                 reach_m = max(min(SHORTER * free_m, 0.9 * reach_m), 0.5 * reach_m)
                 continue
-            # what was seen in few slices holds no farther than they do
-            free_m = max(free_m, reach_m if closely else min(level_m, level_reach_m))
-            next_m = min(SHORTER * level_m, 2 * free_m)
+            free_m = max(free_m, reach_m)  # the slices looked at hold no farther
+            next_m = min(SHORTER * level_m, 3 * free_m)
         shown_m = along_m + free_m
         if shown_m >= motion_m:
             return True

@@ -35,12 +35,12 @@ def is_certified(around, x, y, z, need_m):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def level_clearance(around, body, x, y, z, yaw, enough_m, closely, height_m):  # type: ignore[no-untyped-def]
+def level_clearance(around, body, x, y, z, yaw, enough_m, height_m):  # type: ignore[no-untyped-def]
     """Lower bound of the way that the body may go sideways; -inf if it is not ``enough_m``.
 
     Each of the disc's few balls is seen from above, with all that is unsafe in the slices that it may meet while it
-    keeps its height up to ``slab_m``. ``closely``, what that leaves open is settled by no more slices than it meets
-    within ``height_m`` above and below.
+    keeps its height up to ``slab_m``; what that leaves open is settled by no more slices than it meets within
+    ``height_m`` above and below.
     """
     lattice = around.lattice
     if enough_m + around.widest_m > SLAB_REACH_M + lattice.voxel_m:  # farther than is seen
@@ -53,7 +53,7 @@ def level_clearance(around, body, x, y, z, yaw, enough_m, closely, height_m):  #
     if body.shaft_radius_m > 0:
         i, j = int(min(max(u, 0.0), last_u)), int(min(max(v, 0.0), last_v))
         shaft_m = FINE_UNIT_M * (around.above[i, j, k] - 1.0)
-        if closely and shaft_m - body.shaft_radius_m < enough_m:
+        if shaft_m - body.shaft_radius_m < enough_m:
             shaft_m = close_clearance_at(around.ray, lattice, x, y, z)
         least_m = min(least_m, shaft_m - body.shaft_radius_m)
     if least_m < enough_m:
@@ -66,8 +66,7 @@ def level_clearance(around, body, x, y, z, yaw, enough_m, closely, height_m):  #
         p, q = min(max(u + cos * a - sin * b, 0.0), last_u + 1), min(max(v + sin * a + cos * b, 0.0), last_v + 1)
         one_m = _seen_from_above(around, p, q, k, enough_m + around.few[n, 2]) - around.few[n, 2]
         if one_m < enough_m:
-            if closely:
-                one_m = _seen_in_slices(around, p, q, lowest, highest) - around.few[n, 2]
+            one_m = _seen_in_slices(around, p, q, lowest, highest) - around.few[n, 2]
             if one_m < enough_m:
                 return -np.inf
         least_m = min(least_m, one_m)
@@ -95,18 +94,19 @@ def _seen_from_above(around, p, q, k, enough_m):  # type: ignore[no-untyped-def]
 def _seen_in_slices(around, p, q, lowest, highest):  # type: ignore[no-untyped-def]
     """Horizontal clearance of a point (p, q), in voxels, in some slices: the best of four voxels."""
     lattice, slices = around.lattice, around.slices
-    u, v = p - 0.5, q - 0.5
-    i = min(max(math.floor(u), 0), lattice.nx - 2)
-    j = min(max(math.floor(v), 0), lattice.ny - 2)
-    best_m = -np.inf
-    for di in range(2):
-        for dj in range(2):
-            steps = slices[i + di, j + dj, lowest]
-            for k in range(lowest + 1, highest + 1):
-                steps = min(steps, slices[i + di, j + dj, k])
-            du, dv = u - i - di, v - j - dj
-            best_m = max(best_m, FINE_UNIT_M * steps - lattice.voxel_m * math.sqrt(du * du + dv * dv))
-    return best_m
+    i = min(max(int(p - 0.5), 0), lattice.nx - 2)
+    j = min(max(int(q - 0.5), 0), lattice.ny - 2)
+    du, dv = p - 0.5 - i, q - 0.5 - j
+    eu, ev = 1 - du, 1 - dv
+    first = last = across = beyond = 255
+    for k in range(lowest, highest + 1):  # without a branch, vector units take all four roots at once
+        first, across = min(first, slices[i, j, k]), min(across, slices[i + 1, j, k])
+        last, beyond = min(last, slices[i, j + 1, k]), min(beyond, slices[i + 1, j + 1, k])
+    first_m = FINE_UNIT_M * first - lattice.voxel_m * math.sqrt(du * du + dv * dv)
+    last_m = FINE_UNIT_M * last - lattice.voxel_m * math.sqrt(du * du + ev * ev)
+    across_m = FINE_UNIT_M * across - lattice.voxel_m * math.sqrt(eu * eu + dv * dv)
+    beyond_m = FINE_UNIT_M * beyond - lattice.voxel_m * math.sqrt(eu * eu + ev * ev)
+    return max(first_m, last_m, across_m, beyond_m)
 
 
 @inlined
@@ -128,7 +128,7 @@ def is_surely_unsafe(around, body, x, y, z, yaw):  # type: ignore[no-untyped-def
 def _is_unsafe_at(around, x, y, z):  # type: ignore[no-untyped-def]
     """Whether a point lies in an unsafe voxel, or beside the field."""
     i, j, k = voxel_of(around.lattice, x, y, z)
-    return (around.unsafe[i, j, k >> 3] >> (k & 7)) & 1 == 1
+    return (around.unsafe[i, j, k >> 5] >> (k & 31)) & 1 == 1
 
 
 @kernel

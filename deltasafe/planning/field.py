@@ -111,9 +111,12 @@ class SafetyField:
         return float(self.grid.upper_m[2])
 
     @functools.cached_property
-    def unsafe_bits(self) -> NDArray[np.uint8]:
-        """The unsafe voxels, eight along z a byte, the lowest in its lowest bit."""
-        return np.packbits(self.arrays.ball == 0, axis=2, bitorder="little")
+    def unsafe_bits(self) -> NDArray[np.int32]:
+        """The unsafe voxels (nx, ny, ceil(nz / 32)), 32 along z a word, the lowest in its lowest bit."""
+        bits = np.packbits(self.arrays.ball == 0, axis=2, bitorder="little")
+        words = np.zeros((*bits.shape[:2], -(-bits.shape[2] // 4)), "<i4")
+        words.view(np.uint8)[:, :, : bits.shape[2]] = bits
+        return words
 
     @functools.cached_property
     def ray_clearance(self) -> NDArray[np.uint8]:

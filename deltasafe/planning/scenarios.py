@@ -13,28 +13,26 @@ from deltasafe.planning.field import SafetyField
 __all__ = ["SamplePool", "sample_pool", "samples_are_free"]
 
 POOL_SIZE = 16384
-BLOCK = 32
-"""Samples looked up together: their voxels are found by vector units, then looked up one by one."""
+BLOCK = 16
+"""Samples looked up together; of the last block those beyond N_x do not count."""
 
 
 class SamplePool(NamedTuple):
     """Uniform points of the enlarged body, drawn once; a pose takes ``n_samples`` in a row from a place of its own.
 
     Attributes:
-        points: (3, POOL_SIZE + n_samples) float32 in voxels, in the body's frame.
-        unsafe: (nx * ny * ceil(nz / 8),) uint8, the unsafe voxels as bits.
+        points: (3, n) float32 in voxels, in the body's frame; whole blocks from each place on.
+        unsafe: (nx * ny * ceil(nz / 32),) int32, the unsafe voxels as bits.
         n_samples: N_x.
         redraw: another place for each pose, or the first for all.
         floor: height of the table in voxels above the lattice's lower face.
-        place: (BLOCK,) int32, room for the places of a block's voxels.
     """
 
     points: NDArray[np.float32]
-    unsafe: NDArray[np.uint8]
+    unsafe: NDArray[np.int32]
     n_samples: int
     redraw: bool
     floor: float
-    place: NDArray[np.int32]
 
 
 def sample_pool(
@@ -43,19 +41,13 @@ def sample_pool(
     """Pool of points of R_0 + B(margin); an empty one for ``n_samples`` 0."""
     lattice = field.arrays.lattice
     if n_samples == 0:
-        none = np.empty((3, 0), np.float32), np.empty(0, np.uint8)
-        return SamplePool(*none, 0, redraw, 0.0, np.empty(0, np.int32))
-    padded = -(-n_samples // 16) * 16
+        return SamplePool(np.empty((3, 0), np.float32), np.empty(0, np.int32), 0, redraw, 0.0)
+    padded = -(-n_samples // BLOCK) * BLOCK
     points = body.samples(margin_m, POOL_SIZE if redraw else padded, seed) * lattice.per_m
     points = np.concatenate([points, points[:padded]]).T
     floor = (field.arrays.floor_z_m - lattice.lower_z_m) * lattice.per_m
     return SamplePool(
-        np.ascontiguousarray(points, np.float32),
-        field.unsafe_bits.ravel(),
-        int(n_samples),
-        redraw,
-        floor,
-        np.empty(BLOCK, np.int32),
+        np.ascontiguousarray(points, np.float32), field.unsafe_bits.ravel(), int(n_samples), redraw, floor
     )
 
 
@@ -63,7 +55,9 @@ def sample_pool(
 def samples_are_free(lattice, pool, x, y, z, yaw, bits):  # type: ignore[no-untyped-def]
     """Whether none of N_x points of the body at a pose is unsafe. ``bits`` alone decide which points are drawn.
 
-    The body is symmetric in both axes of its disc: two of the bits turn and mirror the pool for nothing.
+    The body is symmetric in both axes of its disc: two of the bits turn and mirror the pool for nothing. Vector units
+    look up a block at once: the inner loop has no branch, its length is fixed, and it counts in 32 bits by numpy's
+    functions (operators would widen to 64) and from 0 (indices that might be negative become look-ups themselves).
     """
     first = 0
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -78,28 +72,21 @@ def samples_are_free(lattice, pool, x, y, z, yaw, bits):  # type: ignore[no-unty
     v0 = np.float32((y - lattice.lower_y_m) * lattice.per_m)
     w0 = np.float32((z - lattice.lower_z_m) * lattice.per_m)
     last_u, last_v, last_w = np.float32(lattice.nx - 1), np.float32(lattice.ny - 1), np.float32(lattice.nz - 1)
-    floor = np.float32(pool.floor)
-    zero = np.float32(0.0)
-    rows, columns = np.int32(lattice.ny), np.int32((lattice.nz + 7) // 8 * 8)
-    last, place, unsafe = first + pool.n_samples, pool.place, pool.unsafe
-    xs, ys, zs = pool.points[0, first:last], pool.points[1, first:last], pool.points[2, first:last]
-    for begin in range(0, pool.n_samples, BLOCK):
-        size = min(BLOCK, pool.n_samples - begin)
-        below = np.int32(0)
-        for n in range(size):
-            u = u0 + a * xs[begin + n] - b * ys[begin + n]
-            v = v0 + c * xs[begin + n] + d * ys[begin + n]
-            w = zs[begin + n] + w0
-            below |= np.int32(w < floor)
+    zero, floor = np.float32(0.0), np.float32(pool.floor)
+    rows, columns = np.int32(lattice.ny), np.int32((lattice.nz + 31) // 32)
+    end, unsafe = first + pool.n_samples, pool.unsafe
+    for begin in range(first, end, BLOCK):
+        stop, left, bad = begin + BLOCK, np.int32(end - begin), np.int32(0)
+        xs, ys, zs = pool.points[0, begin:stop], pool.points[1, begin:stop], pool.points[2, begin:stop]
+        for n in range(BLOCK):
+            u, v, w = u0 + a * xs[n] - b * ys[n], v0 + c * xs[n] + d * ys[n], w0 + zs[n]
+            below = np.int32(w < floor)
             u, v, w = u if u > zero else zero, v if v > zero else zero, w if w > zero else zero
             u, v, w = u if u < last_u else last_u, v if v < last_v else last_v, w if w < last_w else last_w
-            place[n] = (np.int32(u) * rows + np.int32(v)) * columns + np.int32(w)
-        if below:
-            return False
-        bad = np.uint64(0)
-        for n in range(size):
-            bit = np.uint64(place[n])
-            bad |= np.uint64(unsafe[bit >> np.uint64(3)]) >> (bit & np.uint64(7))
-        if bad & np.uint64(1):
+            column, k = np.add(np.multiply(np.int32(u), rows), np.int32(v)), np.int32(w)
+            word = unsafe[np.uint32(np.add(np.multiply(column, columns), np.right_shift(k, np.int32(5))))]
+            here = np.bitwise_or(np.right_shift(word, np.bitwise_and(k, np.int32(31))), below)
+            bad = np.bitwise_or(bad, np.bitwise_and(here, np.int32(np.int32(n) < left)))
+        if bad & 1:
             return False
     return True

@@ -1,5 +1,6 @@
 """A field and a body as compiled tests of segments read them: what is looked up, from the coarsest to the finest."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ UNIT_M = 0.0005
 """Resolution of the certificate: 255 steps reach 127 mm."""
 
 NO_SHAFT_M = -1e6
+GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 class BodyNumbers(NamedTuple):
@@ -37,7 +39,7 @@ class Surroundings(NamedTuple):
             wherever in the cell its centre is and however it is turned; 0 says nothing.
         by_yaw: another one, finer, that knows the yaw; may be empty.
         above: (nx, ny, nz) uint8, the clearance of any ray upwards from a voxel: v > 0 says at least v - 1 fine units.
-        unsafe: (nx, ny, ceil(nz / 8)) uint8, the unsafe voxels as bits.
+        unsafe: (nx, ny, ceil(nz / 32)) int32, the unsafe voxels as bits.
         few: (m, 3) few balls that contain the disc: centre in its plane in voxels, radius in the plane in m;
             ``widest_m`` the largest radius.
         slices: (nx, ny, nz) uint8, horizontal distance from the middle of a voxel to all that is unsafe in its slice,
@@ -55,7 +57,7 @@ class Surroundings(NamedTuple):
     certificate: NDArray[np.uint8]
     by_yaw: YawCertificate
     above: NDArray[np.uint8]
-    unsafe: NDArray[np.uint8]
+    unsafe: NDArray[np.int32]
     few: NDArray[np.float64]
     widest_m: float
     slices: NDArray[np.uint8]
@@ -120,7 +122,8 @@ def surroundings_of(
 def _few(body: ToolBody, lattice: Lattice) -> NDArray[np.float64]:
     x, y, _, radius_m = body.disc_balls.T
     flat_m = np.sqrt(np.maximum(radius_m**2 - body.thickness_m**2 / 4, 0.0)) * (1 + 1e-9)
-    return np.ascontiguousarray(np.column_stack([x * lattice.per_m, y * lattice.per_m, flat_m]))
+    spread = np.argsort(GOLDEN * np.arange(len(x)) % 1)  # the first ones tell most: none is beside the one before
+    return np.ascontiguousarray(np.column_stack([x * lattice.per_m, y * lattice.per_m, flat_m])[spread])
 
 
 def _grouped(body: ToolBody) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:

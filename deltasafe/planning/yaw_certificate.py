@@ -114,9 +114,9 @@ def _footprints(semi_axis_x_m: float, semi_axis_y_m: float, voxel_m: float, besi
     return tuple(found)
 
 
-def _words(bits: NDArray[np.uint8]) -> NDArray[np.uint64]:
-    """Bytes of eight voxels, the lowest in the lowest bit, as words of 64."""
-    padded = np.zeros((*bits.shape[:2], -(-bits.shape[2] // 8) * 8), np.uint8)
+def _words(bits: NDArray[np.int32]) -> NDArray[np.uint64]:
+    """Words of 32 voxels, the lowest in the lowest bit, as words of 64."""
+    padded = np.zeros((*bits.shape[:2], -(-bits.shape[2] // 2) * 2), "<i4")
     padded[:, :, : bits.shape[2]] = bits
     return padded.view("<u8")
 
