@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -16,13 +17,18 @@ __all__ = ["MANY", "Neighbours", "add_point", "empty_neighbours", "k_nearest", "
 MANY = 3000
 """Beyond this many nodes the bucket tree is faster than looking at all."""
 
+GROUP = 64
+"""Points whose distances are compared at once."""
+
+FEW = 6
+
 
 class Neighbours(NamedTuple):
     """Points in scaled coordinates (4, n), and what a query needs room for.
 
-    ``squared`` distances and the same memory as integers, ``bits``; the candidates ``found`` with their ``gap``; a
-    byte for each point, ``flags``, and the same memory in words of eight. ``reach``: squared radius of the near set
-    that a point had when it came, for the number of points there are now: a guess for its neighbours.
+    Places without a point are infinitely far, so that whole groups of 64 are looked at. ``squared`` distances and the
+    same memory as integers, ``bits``; the candidates ``found`` with their ``gap``. ``reach``: squared radius of the
+    near set that a point had when it came, for the number of points there are now: a guess for its neighbours.
     """
 
     points: NDArray[np.float32]
@@ -31,24 +37,21 @@ class Neighbours(NamedTuple):
     reach: NDArray[np.float32]
     found: NDArray[np.int32]
     gap: NDArray[np.float32]
-    flags: NDArray[np.uint8]
-    words: NDArray[np.uint64]
     buckets: BucketTree
     many: int
 
 
 def empty_neighbours(capacity: int, many: int = MANY) -> Neighbours:
     """Room for ``capacity`` points; beyond ``many`` the bucket tree is used. Both give the same neighbours."""
-    squared, flags = np.empty(capacity + 8, np.float32), np.empty(64 * (capacity // 64 + 2), np.uint8)
+    groups = -(-capacity // GROUP)
+    squared = np.empty(GROUP * (groups + 1), np.float32)
     return Neighbours(
-        np.empty((4, capacity), np.float32),
+        np.full((4, GROUP * groups), np.inf, np.float32),
         squared,
         squared.view(np.int32),
         np.empty(capacity, np.float32),
-        np.empty(capacity + 1, np.int32),
-        np.empty(capacity + 1, np.float32),
-        flags,
-        flags.view(np.uint64),
+        np.empty(capacity + 1 + GROUP, np.int32),
+        np.empty(capacity + 1 + GROUP, np.float32),
         empty_buckets(capacity if capacity > many else 1),
         many,
     )
@@ -75,19 +78,14 @@ def nearest(known, count, point):  # type: ignore[no-untyped-def]
         return nearest_in(known.buckets, x)
     _measure(known, count, x)
     # the bits of floats that are not negative are ordered as they are, and vector units find the least integer
-    bits, least = known.bits, np.int32(0x7F800000)
-    for n in range(count):
+    bits, least, place = known.bits, np.int32(0x7F800000), 0
+    for n in range(_in_groups(count)):
         least = min(least, bits[n])
-    place = 0
-    while place + 64 <= count:
-        some = np.int32(0)
-        for n in range(place, place + 64):
-            some += np.int32(bits[n] == least)
-        if some:
-            break
-        place += 64
-    while bits[place] != least:
-        place += 1
+    chosen = _at_most(bits, place, least)
+    while not chosen:
+        place += GROUP
+        chosen = _at_most(bits, place, least)
+    place += np.int64(_lowest_bit(chosen))
     return place, known.squared[place]
 
 
@@ -111,6 +109,7 @@ def k_nearest(known, count, point, k, guess, measured):  # type: ignore[no-untyp
         if m >= k:
             break
         wide *= np.float32(min(max(1.2 * math.sqrt(k / max(m, 1)), 1.1), 4.0))
+    known.gap[m : m + GROUP] = np.inf
     low, high, inside, most = np.float32(0.0), wide, m, k + k // 8
     while inside > most:
         middle = np.float32(0.5) * (low + high)
@@ -118,9 +117,9 @@ def k_nearest(known, count, point, k, guess, measured):  # type: ignore[no-untyp
             middle = high * np.float32(math.sqrt(0.5 * (k + most) / inside))
         if not low < middle < high:
             break
-        some = np.int32(0)
-        for n in range(m):
-            some += np.int32(known.gap[n] <= middle)
+        some = 0
+        for begin in range(0, m, GROUP):
+            some += np.int64(_how_many(_at_most(known.gap, begin, middle)))
         if some >= k:
             high, inside = middle, some
         else:
@@ -145,30 +144,63 @@ def within(known, count, point, squared_radius):  # type: ignore[no-untyped-def]
 def _candidates(known, count, x, wide):  # type: ignore[no-untyped-def]
     if count > known.many:
         return collect(known.buckets, x, wide, known.found, known.gap)
-    found, gap, squared, flags = known.found, known.gap, known.squared, known.flags
-    for n in range(count):
-        flags[n] = squared[n] <= wide
-    flags[count : count + 64] = 0
-    words, m = known.words, 0
-    for group in range((count + 63) // 64):
-        chosen = np.uint64(0)
-        for part in range(8):  # eight bytes that are 0 or 1 become eight bits
-            byte = (words[8 * group + part] * np.uint64(0x0102040810204080)) >> np.uint64(56)
-            chosen |= byte << np.uint64(8 * part)
+    found, gap, squared, m = known.found, known.gap, known.squared, 0
+    for begin in range(0, count, GROUP):
+        chosen = _at_most(squared, begin, wide)
+        place, m = m, m + np.int64(_how_many(chosen))
+        for _ in range(FEW):  # as many as most groups have, without asking whether there are so many
+            n = begin + np.int64(_lowest_bit(chosen))
+            found[place], gap[place] = n, squared[n]
+            place += 1
+            chosen &= chosen - np.uint64(1)
         while chosen:
-            n = 64 * group + np.int64(_lowest_bit(chosen))
-            found[m], gap[m] = n, squared[n]
-            m += 1
+            n = begin + np.int64(_lowest_bit(chosen))
+            found[place], gap[place] = n, squared[n]
+            place += 1
             chosen &= chosen - np.uint64(1)
     return m
 
 
+@inlined
+def _in_groups(count):  # type: ignore[no-untyped-def]
+    """The next multiple of a group."""
+    return (count + GROUP - 1) // GROUP * GROUP
+
+
 @intrinsic
-def _lowest_bit(typing_context, bits):  # type: ignore[no-untyped-def]
-    """Place of the lowest bit that is set, of uint64."""
+def _at_most(typing_context, values, begin, limit):  # type: ignore[no-untyped-def]
+    """Which of a group of values (float32 or int32), from ``begin`` on, are at most ``limit``: a bit each, uint64."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        return builder.cttz(arguments[0], context.get_constant(types.boolean, 1))
+        array = context.make_array(values)(context, builder, arguments[0])
+        many = ir.VectorType(array.data.type.pointee, GROUP)
+        place = builder.bitcast(builder.gep(array.data, [arguments[1]]), many.as_pointer())
+        lanes = builder.load(place, align=4)
+        one = builder.insert_element(ir.Constant(many, ir.Undefined), arguments[2], ir.IntType(32)(0))
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), GROUP), [0] * GROUP)
+        limits = builder.shuffle_vector(one, ir.Constant(many, ir.Undefined), zeros)
+        compare = builder.fcmp_ordered if isinstance(values.dtype, types.Float) else builder.icmp_signed
+        return builder.bitcast(compare("<=", lanes, limits), ir.IntType(64))
+
+    return types.uint64(values, types.int64, values.dtype), generate
+
+
+@intrinsic
+def _how_many(typing_context, bits):  # type: ignore[no-untyped-def]
+    """Number of bits that are set, of uint64."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.ctpop(arguments[0])
+
+    return types.uint64(types.uint64), generate
+
+
+@intrinsic
+def _lowest_bit(typing_context, bits):  # type: ignore[no-untyped-def]
+    """Place of the lowest bit that is set, of uint64; 64 if none is."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.cttz(arguments[0], context.get_constant(types.boolean, 0))
 
     return types.uint64(types.uint64), generate
 
@@ -177,6 +209,6 @@ def _lowest_bit(typing_context, bits):  # type: ignore[no-untyped-def]
 def _measure(known, count, x):  # type: ignore[no-untyped-def]
     x0, x1, x2, x3 = x
     points, squared = known.points, known.squared
-    for n in range(count):
+    for n in range(_in_groups(count)):
         d0, d1, d2, d3 = points[0, n] - x0, points[1, n] - x1, points[2, n] - x2, points[3, n] - x3
         squared[n] = d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3
