@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
         for name, problem in made.items():
             write_problem(problem, 100, files[name])
         given = {"_by_yaw": files["cluttered"], "": pathlib.Path(folder) / "without-yaw.bin"}
-        write_problem(cluttered, 100, given[""], by_yaw=False)
+        write_problem(cluttered, 100, given[""], with_yaw=False)
         if program is None:
             say("no OMPL in C++ here (apt: libompl-dev, g++): left out")
         if not wheel:

@@ -35,14 +35,19 @@ REACH_M = EllipticDisc().semi_axis_x_m
 Run = Callable[[int], tuple[float, float]]
 
 
-def turns(contenders: Mapping[str, Run], repeats: int) -> dict[str, dict[str, Any]]:
-    """Seconds and costs of each contender, called in turns with the same seeds after one call to warm up."""
+def turns(contenders: Mapping[str, Run], repeats: int, twice: bool = True) -> dict[str, dict[str, Any]]:
+    """Seconds and costs of each contender, called in turns with the same seeds after one call to warm up.
+
+    ``twice``: in each turn as well the first call is for warming up: what was called before it has emptied the caches.
+    """
     for run in contenders.values():
         run(0)
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     costs: dict[str, list[float]] = {name: [] for name in contenders}
     for seed in range(repeats):
         for name, run in contenders.items():
+            if twice:
+                run(seed)
             taken, cost = run(seed)
             seconds[name].append(taken)
             costs[name].append(cost)
@@ -144,7 +149,7 @@ def at_equal_time(
                 runs["OMPL AORRTC (wheel)"] = functools.partial(
                     wheel, problem, problem.test("sampled"), "AORRTC", budget_s, timed=True, simplify=0.2
                 )
-            table = turns(runs, repeats)
+            table = turns(runs, repeats, twice=False)
             for row in table.values():
                 del row["seconds"]
             found[f"{name}, {1e3 * budget_s:g} ms"] = table

@@ -31,8 +31,9 @@ from deltasafe.planning import (
     refine_path,
     segment_test,
 )
+from deltasafe.planning.certificates import UNIT_M
 from deltasafe.planning.scenarios import POOL_SIZE
-from deltasafe.planning.surroundings import UNIT_M
+from deltasafe.planning.stepwise import SampledTest
 from deltasafe.scene import grid_from_shapes
 
 __all__ = ["DELTA_P_M", "MARGIN_M", "STEERING_M", "Problem", "problems", "write_problem"]
@@ -99,19 +100,21 @@ def problems() -> dict[str, Problem]:
     return {scene.name: Problem(scene) for scene in scenes}
 
 
-def write_problem(problem: Problem, n_samples: int, file: pathlib.Path, by_yaw: bool = True) -> None:
+def write_problem(problem: Problem, n_samples: int, file: pathlib.Path, with_yaw: bool = True) -> None:
     """The sampled test of a problem as the harness in C++ reads it."""
-    test = problem.test("sampled", n_samples, by_yaw=by_yaw)
-    lattice, around, pool = test.around.lattice, test.around, test.pool
+    test = problem.test("sampled", n_samples, by_yaw=with_yaw)
+    assert isinstance(test, SampledTest)
+    certificates, pool, steps = test
+    lattice, by_yaw = certificates.lattice, certificates.by_yaw
     numbers = np.array(
         [
             *lattice[:3],
             lattice.per_m,
-            around.cells_per_m,
+            certificates.cells_per_m,
             UNIT_M,
-            test.body.rho_max_m,
-            DELTA_P_M,
-            MARGIN_M + DELTA_P_M / 2,
+            steps.rho_max_m,
+            steps.delta_p_m,
+            steps.need_m,
             pool.floor,
             COST.rotation_weight_m2,
             STEERING_M,
@@ -120,13 +123,13 @@ def write_problem(problem: Problem, n_samples: int, file: pathlib.Path, by_yaw: 
             *GOAL,
             *LOWEST_POSE,
             *HIGHEST_POSE,
-            around.by_yaw.bins_per_rad,
+            by_yaw.bins_per_rad,
         ],
         np.float64,
     )
     shape = lattice.nx, lattice.ny, lattice.nz
-    free = around.by_yaw.free
-    sizes = n_samples, pool.points.shape[1], POOL_SIZE, test.numbers.seed, free.shape[0], free.shape[3]
-    counts = np.array([*shape, *around.certificate.shape, *sizes], np.int64)
-    arrays = numbers, counts, around.certificate, pool.unsafe, pool.points, free
+    free = by_yaw.free
+    sizes = n_samples, pool.points.shape[1], POOL_SIZE, pool.seed, free.shape[0], free.shape[3]
+    counts = np.array([*shape, *certificates.distance.shape, *sizes], np.int64)
+    arrays = numbers, counts, certificates.distance, pool.unsafe, pool.points, free
     file.write_bytes(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays))

@@ -85,8 +85,8 @@ class Monitor:
     ) -> None:
         self._bound, self._settings, self._body, self._camera = bound, settings, body, camera
         self._speed_limit = limits.velocity_radps
-        margin_m = min(float(bound.error_m(settings.min_speed_mps)), _MOST_MARGIN_M)
-        self._planned = None if field is None else segment_test(field, body, margin_m, CheckSettings())
+        self._margin_m = min(float(bound.error_m(settings.min_speed_mps)), _MOST_MARGIN_M)
+        self._planned = None if field is None else segment_test(field, body, self._margin_m, CheckSettings())
         self._top_z_m = 0.0 if field is None else float(field.grid.upper_m[2])
         self._seen = None if camera is None else camera.seen
         self._look_at_s = 0.0
@@ -141,7 +141,7 @@ class Monitor:
             way_m = math.hypot(*error[:3].tolist()) + lever_m * math.hypot(*error[3:].tolist())
             pose = np.append(target.position_m, yaw_of(target.quaternion))
             if is_segment_safe(self._planned, pose, pose):
-                clearance_m = max(clearance_m, self._planned.numbers.margin_m - way_m)
+                clearance_m = max(clearance_m, self._margin_m - way_m)
         return f"the tool is {-clearance_m * 1e3:.2f} mm inside what is not known to be free" if clearance_m < 0 else ""
 
     def _image(self, time_s: float) -> str:

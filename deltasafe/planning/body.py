@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +10,21 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.planning.cover import disc_balls, disc_cover, distance_to_ellipse
 
-__all__ = ["ToolBody"]
+__all__ = ["BodyNumbers", "ToolBody"]
 
 Array = NDArray[np.float64]
+NO_SHAFT_M = -1e6
+
+
+class BodyNumbers(NamedTuple):
+    """The numbers of a tool's body, as compiled code reads them. A shaft that is not there has a negative radius."""
+
+    disc_radius_m: float
+    half_thickness_m: float
+    shaft_radius_m: float
+    rho_max_m: float
+    semi_axis_x_m: float
+    semi_axis_y_m: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +58,18 @@ class ToolBody:
     def disc_radius_m(self) -> float:
         """Radius of the ball around the centre that encloses the disc."""
         return math.hypot(self.rho_max_m, self.thickness_m / 2)
+
+    @property
+    def numbers(self) -> BodyNumbers:
+        """What compiled code reads."""
+        return BodyNumbers(
+            self.disc_radius_m,
+            self.thickness_m / 2,
+            self.shaft_radius_m if self.shaft_length_m > 0 else NO_SHAFT_M,
+            self.rho_max_m,
+            self.semi_axis_x_m,
+            self.semi_axis_y_m,
+        )
 
     def distance_m(self, points_m: Array) -> Array:
         """Distance (N,) of points (N, 3) in the body's frame to disc and shaft; 0 inside."""

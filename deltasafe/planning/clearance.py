@@ -6,32 +6,12 @@ import numpy as np
 
 from deltasafe.compiling import inlined, kernel
 from deltasafe.planning.field import FINE_UNIT_M, SLAB_REACH_M, clearance_at, close_clearance_at, voxel_of
-from deltasafe.planning.surroundings import UNIT_M
 
 __all__ = [
-    "certified_clearance_m",
     "clearance_of_pose",
-    "is_certified",
     "is_surely_unsafe",
     "level_clearance",
 ]
-
-
-@inlined
-def certified_clearance_m(around, x, y, z):  # type: ignore[no-untyped-def]
-    """Lower bound of the body's clearance from the coarse grid alone; -inf where it says nothing."""
-    nx, ny, nz = around.certificate.shape
-    i = int(min(max((x - around.lattice.lower_x_m) * around.cells_per_m, 0.0), nx - 1.0))
-    j = int(min(max((y - around.lattice.lower_y_m) * around.cells_per_m, 0.0), ny - 1.0))
-    k = int(min(max((z - around.lattice.lower_z_m) * around.cells_per_m, 0.0), nz - 1.0))
-    steps = around.certificate[i, j, k]
-    return UNIT_M * (steps - 1.0) if steps > 0 else -np.inf
-
-
-@inlined
-def is_certified(around, x, y, z, need_m):  # type: ignore[no-untyped-def]
-    """Whether the coarse grid alone shows that the body is clear by ``need_m``, however it is turned."""
-    return certified_clearance_m(around, x, y, z) >= need_m
 
 
 @inlined

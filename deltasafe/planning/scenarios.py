@@ -26,6 +26,7 @@ class SamplePool(NamedTuple):
         n_samples: N_x.
         redraw: another place for each pose, or the first for all.
         floor: height of the table in voxels above the lattice's lower face.
+        seed: of the places.
     """
 
     points: NDArray[np.float32]
@@ -33,21 +34,20 @@ class SamplePool(NamedTuple):
     n_samples: int
     redraw: bool
     floor: float
+    seed: int
 
 
 def sample_pool(
     field: SafetyField, body: ToolBody, margin_m: float, n_samples: int, redraw: bool, seed: int
 ) -> SamplePool:
-    """Pool of points of R_0 + B(margin); an empty one for ``n_samples`` 0."""
+    """Pool of points of R_0 + B(margin)."""
     lattice = field.arrays.lattice
-    if n_samples == 0:
-        return SamplePool(np.empty((3, 0), np.float32), np.empty(0, np.int32), 0, redraw, 0.0)
     padded = -(-n_samples // BLOCK) * BLOCK
     points = body.samples(margin_m, POOL_SIZE if redraw else padded, seed) * lattice.per_m
     points = np.concatenate([points, points[:padded]]).T
     floor = (field.arrays.floor_z_m - lattice.lower_z_m) * lattice.per_m
     return SamplePool(
-        np.ascontiguousarray(points, np.float32), field.unsafe_bits.ravel(), int(n_samples), redraw, floor
+        np.ascontiguousarray(points, np.float32), field.unsafe_bits.ravel(), int(n_samples), redraw, floor, int(seed)
     )
 
 

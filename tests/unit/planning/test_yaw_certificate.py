@@ -7,7 +7,7 @@ import pytest
 
 from deltasafe.planner_study.scenes import EllipticDisc
 from deltasafe.planning import CheckSettings, SafetyField, ToolBody, body_clearance_m, is_segment_safe, segment_test
-from deltasafe.planning.clearance import certified_clearance_m
+from deltasafe.planning.certificates import certified_clearance_m
 from deltasafe.planning.yaw_certificate import BINS, is_free_by_yaw, yaw_certificate
 from deltasafe.scene import OccupancyGrid
 
@@ -50,7 +50,7 @@ def test_it_is_not_needlessly_strict(field: SafetyField, body: ToolBody) -> None
 def test_it_settles_most_of_what_the_certificate_without_yaw_leaves_open(field: SafetyField, body: ToolBody) -> None:
     poses = np.random.default_rng(3).uniform(LOW, HIGH, (2000, 4))
     plain, with_yaw = (
-        segment_test(field, body, 0.001, CheckSettings("exact", by_yaw=by_yaw)).around for by_yaw in (False, True)
+        segment_test(field, body, 0.001, CheckSettings("exact", by_yaw=by_yaw)).certificates for by_yaw in (False, True)
     )
     assert plain.by_yaw.clear_m < 0 < with_yaw.by_yaw.clear_m
     need_m = with_yaw.by_yaw.clear_m

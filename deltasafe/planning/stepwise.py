@@ -1,0 +1,102 @@
+"""The sampled test, the paper's, and the exact one: poses of a segment at most Delta_p apart (section IV-A)."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deltasafe.compiling import inlined, kernel
+from deltasafe.planning.body import BodyNumbers
+from deltasafe.planning.certificates import Certificates, certified_clearance_m
+from deltasafe.planning.clearance import level_clearance
+from deltasafe.planning.constraint import answers_segments
+from deltasafe.planning.counters import key_of_segment, mixed
+from deltasafe.planning.scenarios import SamplePool, samples_are_free
+from deltasafe.planning.segments import in_order, motion_m, pose_at
+from deltasafe.planning.surroundings import Surroundings
+from deltasafe.planning.yaw_certificate import is_free_by_yaw
+
+__all__ = ["ExactTest", "SampledTest", "StepNumbers"]
+
+
+class StepNumbers(NamedTuple):
+    """How poses follow each other: at most ``delta_p_m`` apart, each to keep ``need_m``, half of the way included."""
+
+    rho_max_m: float
+    need_m: float
+    delta_p_m: float
+    use_certificate: bool
+
+
+class SampledTest(NamedTuple):
+    """N_x samples at every pose. It holds no more than it looks at: a search passes it on for every segment."""
+
+    certificates: Certificates
+    pool: SamplePool
+    steps: StepNumbers
+
+
+class ExactTest(NamedTuple):
+    """Distances at every pose."""
+
+    certificates: Certificates
+    around: Surroundings
+    body: BodyNumbers
+    steps: StepNumbers
+
+
+@answers_segments(SampledTest)
+@kernel
+def _sampled(test, first, second):  # type: ignore[no-untyped-def]
+    start, end = in_order(first, second)
+    last = _last_step(test.steps, start, end)
+    step = _open_step(test.certificates, test.steps, start, end, last, 0)
+    if step > last:
+        return True
+    key = key_of_segment(np.uint64(test.pool.seed), start, end)
+    while step <= last:
+        x, y, z, yaw = pose_at(start, end, step * (1.0 / max(last, 1)))
+        step += 1
+        if not samples_are_free(test.certificates.lattice, test.pool, x, y, z, yaw, mixed(key, step)):
+            return False
+        step = _open_step(test.certificates, test.steps, start, end, last, step)
+    return True
+
+
+@answers_segments(ExactTest)
+@kernel
+def _exact(test, first, second):  # type: ignore[no-untyped-def]
+    start, end = in_order(first, second)
+    last, need_m = _last_step(test.steps, start, end), test.steps.need_m
+    step = _open_step(test.certificates, test.steps, start, end, last, 0)
+    while step <= last:
+        x, y, z, yaw = pose_at(start, end, step * (1.0 / max(last, 1)))
+        height_m = test.body.half_thickness_m + need_m
+        clear_m = level_clearance(test.around, test.body, x, y, z, yaw, need_m, height_m)
+        if clear_m < need_m and certified_clearance_m(test.certificates, x, y, z) < need_m:
+            return False
+        step = _open_step(test.certificates, test.steps, start, end, last, step + 1)
+    return True
+
+
+@inlined
+def _last_step(steps, start, end):  # type: ignore[no-untyped-def]
+    return math.ceil(motion_m(steps.rho_max_m, start, end) / steps.delta_p_m)
+
+
+@inlined
+def _open_step(certificates, steps, start, end, last, step):  # type: ignore[no-untyped-def]
+    """The first step from ``step`` on whose pose no certificate settles; beyond ``last`` if there is none."""
+    per_step, per_m = 1.0 / max(last, 1), 1.0 / steps.delta_p_m  # divisions take longer than all the rest
+    while step <= last:
+        x, y, z, yaw = pose_at(start, end, step * per_step)
+        if steps.use_certificate:
+            free_m = certified_clearance_m(certificates, x, y, z)
+            if free_m >= steps.need_m:  # and so are the poses within that way
+                step += 1 + int((free_m - steps.need_m) * per_m)
+                continue
+        by_yaw = certificates.by_yaw
+        if not (by_yaw.clear_m >= steps.need_m and is_free_by_yaw(by_yaw, certificates.lattice, x, y, z, yaw)):
+            break
+        step += 1
+    return step
