@@ -1,6 +1,5 @@
 """What a segment costs: the paper's line cost, its additive root, and the area between path and table."""
 
-import itertools
 import math
 from typing import NamedTuple
 
@@ -50,7 +49,7 @@ def line_cost(
 
 def path_cost(cost: LineCost, poses: Array) -> float:
     """Sum of the line costs of a polyline (K, 4)."""
-    return float(sum(segment_cost(cost, a, b) for a, b in itertools.pairwise(poses)))
+    return float(_path_cost(cost, np.ascontiguousarray(poses, dtype=np.float64)))
 
 
 def area_m2(poses: Array, table_z_m: float) -> float:
@@ -78,6 +77,14 @@ def segment_cost(cost, a, b):  # type: ignore[no-untyped-def]
         return squared
     height = max(0.5 * (a[2] + b[2]) - cost.table_z_m, 0.0)
     return height * math.sqrt(way) + cost.length_weight_m * math.sqrt(squared)
+
+
+@kernel
+def _path_cost(cost, poses):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for n in range(len(poses) - 1):
+        total += segment_cost(cost, poses[n], poses[n + 1])
+    return total
 
 
 @kernel
