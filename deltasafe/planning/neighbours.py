@@ -4,23 +4,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from deltasafe.compiling import inlined
 from deltasafe.planning.buckets import BucketTree, collect, empty_buckets, insert, nearest_in
+from deltasafe.planning.groups import GROUP, at_most, how_many, lowest_bit, put_near
 
 __all__ = ["MANY", "Neighbours", "add_point", "empty_neighbours", "k_nearest", "nearest", "within"]
 
-MANY = 3000
+MANY = 4500
 """Beyond this many nodes the bucket tree is faster than looking at all."""
-
-GROUP = 64
-"""Points whose distances are compared at once."""
-
-FEW = 6
 
 
 class Neighbours(NamedTuple):
@@ -81,11 +74,11 @@ def nearest(known, count, point):  # type: ignore[no-untyped-def]
     bits, least, place = known.bits, np.int32(0x7F800000), 0
     for n in range(_in_groups(count)):
         least = min(least, bits[n])
-    chosen = _at_most(bits, place, least)
+    chosen = at_most(bits, place, least)
     while not chosen:
         place += GROUP
-        chosen = _at_most(bits, place, least)
-    place += np.int64(_lowest_bit(chosen))
+        chosen = at_most(bits, place, least)
+    place += np.int64(lowest_bit(chosen))
     return place, known.squared[place]
 
 
@@ -119,7 +112,7 @@ def k_nearest(known, count, point, k, guess, measured):  # type: ignore[no-untyp
             break
         some = 0
         for begin in range(0, m, GROUP):
-            some += np.int64(_how_many(_at_most(known.gap, begin, middle)))
+            some += np.int64(how_many(at_most(known.gap, begin, middle)))
         if some >= k:
             high, inside = middle, some
         else:
@@ -144,20 +137,9 @@ def within(known, count, point, squared_radius):  # type: ignore[no-untyped-def]
 def _candidates(known, count, x, wide):  # type: ignore[no-untyped-def]
     if count > known.many:
         return collect(known.buckets, x, wide, known.found, known.gap)
-    found, gap, squared, m = known.found, known.gap, known.squared, 0
+    m = 0
     for begin in range(0, count, GROUP):
-        chosen = _at_most(squared, begin, wide)
-        place, m = m, m + np.int64(_how_many(chosen))
-        for _ in range(FEW):  # as many as most groups have, without asking whether there are so many
-            n = begin + np.int64(_lowest_bit(chosen))
-            found[place], gap[place] = n, squared[n]
-            place += 1
-            chosen &= chosen - np.uint64(1)
-        while chosen:
-            n = begin + np.int64(_lowest_bit(chosen))
-            found[place], gap[place] = n, squared[n]
-            place += 1
-            chosen &= chosen - np.uint64(1)
+        m = put_near(known.squared, begin, wide, known.found, known.gap, m)
     return m
 
 
@@ -165,44 +147,6 @@ def _candidates(known, count, x, wide):  # type: ignore[no-untyped-def]
 def _in_groups(count):  # type: ignore[no-untyped-def]
     """The next multiple of a group."""
     return (count + GROUP - 1) // GROUP * GROUP
-
-
-@intrinsic
-def _at_most(typing_context, values, begin, limit):  # type: ignore[no-untyped-def]
-    """Which of a group of values (float32 or int32), from ``begin`` on, are at most ``limit``: a bit each, uint64."""
-
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        array = context.make_array(values)(context, builder, arguments[0])
-        many = ir.VectorType(array.data.type.pointee, GROUP)
-        place = builder.bitcast(builder.gep(array.data, [arguments[1]]), many.as_pointer())
-        lanes = builder.load(place, align=4)
-        one = builder.insert_element(ir.Constant(many, ir.Undefined), arguments[2], ir.IntType(32)(0))
-        zeros = ir.Constant(ir.VectorType(ir.IntType(32), GROUP), [0] * GROUP)
-        limits = builder.shuffle_vector(one, ir.Constant(many, ir.Undefined), zeros)
-        compare = builder.fcmp_ordered if isinstance(values.dtype, types.Float) else builder.icmp_signed
-        return builder.bitcast(compare("<=", lanes, limits), ir.IntType(64))
-
-    return types.uint64(values, types.int64, values.dtype), generate
-
-
-@intrinsic
-def _how_many(typing_context, bits):  # type: ignore[no-untyped-def]
-    """Number of bits that are set, of uint64."""
-
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        return builder.ctpop(arguments[0])
-
-    return types.uint64(types.uint64), generate
-
-
-@intrinsic
-def _lowest_bit(typing_context, bits):  # type: ignore[no-untyped-def]
-    """Place of the lowest bit that is set, of uint64; 64 if none is."""
-
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        return builder.cttz(arguments[0], context.get_constant(types.boolean, 0))
-
-    return types.uint64(types.uint64), generate
 
 
 @inlined
