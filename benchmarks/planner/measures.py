@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.planner.asking import segments_asked
 from benchmarks.planner.ompl import harness, wheel
 from benchmarks.planner.problems import DELTA, DELTA_P_M, MARGIN_M, Problem
 from deltasafe.planner_study.scenes import EllipticDisc, crowded_scene
@@ -103,13 +104,15 @@ def against_ompl(
 def flatness(problem: Problem, iterations: int, repeats: int) -> tuple[dict[str, Any], dict[str, float]]:
     """Time over the number of obstacles and over N_x, the field given."""
     runs: dict[str, Run] = {}
-    for count in (1, 10, 100):
-        crowd = Problem(crowded_scene(count, seed=0, radius_m=0.02))
+    crowds = {count: Problem(crowded_scene(count, seed=0, radius_m=0.02)) for count in (1, 10, 100)}
+    for count, crowd in crowds.items():
         runs[f"{count} obstacles"] = functools.partial(crowd.iterations, crowd.test("sampled"), iterations)
     for n_samples in (20, 100, 1000):
         test = problem.test("sampled", n_samples)
         runs[f"N_x = {n_samples}"] = functools.partial(problem.iterations, test, iterations)
     found = turns(runs, repeats)
+    for count, crowd in crowds.items():
+        found[f"{count} obstacles"] |= segments_asked(crowd, iterations, repeats)
     return found, {
         "ratio_100_to_1_obstacles": ratio(found, "100 obstacles", "1 obstacles"),
         "ratio_nx1000_to_nx20": ratio(found, "N_x = 1000", "N_x = 20"),
