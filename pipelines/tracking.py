@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import pathlib
+import sqlite3
 import time
 import urllib.error
 import urllib.request
@@ -90,7 +91,7 @@ class MlflowTracker:
             return {}
         uri = tracking_uri(self.home)
         if not is_reachable(uri):
-            _log.warning("%s is away; %d calls wait for it", uri, len(self.pending.files()))
+            _log.warning("%s cannot be reached; %d calls wait for it", uri, len(self.pending.files()))
             return {}
         try:
             with self.records() as records:
@@ -111,7 +112,12 @@ class MlflowTracker:
 
 
 def is_reachable(uri: str, timeout_s: float = 5.0) -> bool:
-    """Whether something answers at the address of a server; a database in a file always is."""
+    """Whether something answers at the address of a server, or a database in a file can be opened, if it is there.
+
+    MLflow would go on trying to open one for a minute and a half, at every call.
+    """
+    if uri.startswith("sqlite:///"):
+        return _opens(pathlib.Path(uri.removeprefix("sqlite:///")), timeout_s)
     if not uri.startswith(("http://", "https://")):
         return True
     try:
@@ -119,5 +125,18 @@ def is_reachable(uri: str, timeout_s: float = 5.0) -> bool:
     except urllib.error.HTTPError:
         return True  # it answers, if only to ask for a login
     except (OSError, ValueError):
+        return False
+    return True
+
+
+def _opens(database: pathlib.Path, timeout_s: float) -> bool:
+    if not database.exists():
+        return True  # it will be made
+    try:
+        with contextlib.closing(sqlite3.connect(database, timeout=timeout_s)) as connection:
+            connection.execute("PRAGMA schema_version")
+    except sqlite3.OperationalError as error:
+        return "locked" in str(error)  # by somebody who writes, for a moment
+    except sqlite3.DatabaseError:
         return False
     return True

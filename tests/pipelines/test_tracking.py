@@ -1,10 +1,12 @@
 """MLflow: one run an ensemble, one a member, however many processes write, and whether or not it is there."""
 
 import concurrent.futures
+import contextlib
 import json
 import multiprocessing
 import os
 import pathlib
+import sqlite3
 import subprocess
 import sys
 import time
@@ -165,9 +167,25 @@ def test_a_call_that_can_never_be_made_is_set_aside_and_blocks_nothing(tmp_path)
     assert "is not there" in reason.read_text()
 
 
-def test_a_database_that_cannot_be_opened_costs_a_warning(tmp_path, caplog):
-    (tmp_path / "mlflow" / "mlflow.db").mkdir(parents=True)
+@pytest.mark.parametrize("what", ["a folder", "no database"])
+def test_a_database_that_cannot_be_opened_costs_a_warning(what, tmp_path, caplog):
+    database = tmp_path / "mlflow" / "mlflow.db"
+    if what == "a folder":
+        database.mkdir(parents=True)
+    else:
+        database.parent.mkdir(parents=True)
+        database.write_bytes(b"nothing that SQLite knows" * 100)
     tracker = MlflowTracker(tmp_path)
     assert tracker.member(IDENTITY, trained()) is None
-    assert "calls wait" in caplog.text
+    assert "wait" in caplog.text
+    assert str(database) in caplog.text
     assert len(tracker.pending.files()) == 1
+
+
+def test_a_database_that_somebody_writes_is_there(tmp_path):
+    with contextlib.closing(sqlite3.connect(tmp_path / "mlflow.db")) as connection:
+        connection.execute("CREATE TABLE some (x)")
+        connection.execute("BEGIN EXCLUSIVE")
+        assert is_reachable(f"sqlite:///{tmp_path / 'mlflow.db'}", timeout_s=0.1)
+    assert is_reachable(f"sqlite:///{tmp_path / 'not yet.db'}")
+    assert not (tmp_path / "not yet.db").exists()
