@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.compiling import inlined, kernel
-from deltasafe.planning.groups import GROUP, at_most, lowest_bit, put_near
+from deltasafe.planning.groups import GROUP, at_most, lowest_bit, measure, put_near
 
 __all__ = ["BucketTree", "collect", "empty_buckets", "insert", "nearest_in"]
 
@@ -159,7 +159,7 @@ def nearest_in(tree, x):  # type: ignore[no-untyped-def]
         if tree.children[node] >= 0:
             top = _push_children(tree, tree.children[node], top, least)
             continue
-        _measure(tree, node, x)
+        measure(tree.points[node], GROUP, x, tree.squared)
         chosen = at_most(tree.squared, 0, least)
         while chosen:
             n = np.int64(lowest_bit(chosen))
@@ -181,17 +181,8 @@ def collect(tree, x, within, found, gap):  # type: ignore[no-untyped-def]
         if tree.children[node] >= 0:
             top = _push_children(tree, tree.children[node], top, within)
             continue
-        _measure(tree, node, x)
+        measure(tree.points[node], GROUP, x, tree.squared)
         before, m = m, put_near(tree.squared, 0, within, found, gap, m)
         for n in range(before, m):
             found[n] = tree.number[node, found[n]]
     return m
-
-
-@inlined
-def _measure(tree, node, x):  # type: ignore[no-untyped-def]
-    points, squared = tree.points[node], tree.squared
-    x0, x1, x2, x3 = x
-    for n in range(GROUP):
-        d0, d1, d2, d3 = points[0, n] - x0, points[1, n] - x1, points[2, n] - x2, points[3, n] - x3
-        squared[n] = d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3

@@ -7,12 +7,21 @@ from numba.extending import intrinsic
 
 from deltasafe.compiling import inlined
 
-__all__ = ["GROUP", "at_most", "how_many", "lowest_bit", "put_near"]
+__all__ = ["GROUP", "at_most", "how_many", "lowest_bit", "measure", "put_near"]
 
 GROUP = 64
 
 FEW = 6
 """As many as most groups hold: written without asking whether there are so many, a branch that nothing predicts."""
+
+
+@inlined
+def measure(points, count, x, squared):  # type: ignore[no-untyped-def]
+    """Squared distances of the first ``count`` points (4, n) to one, a tuple of four float32."""
+    x0, x1, x2, x3 = x
+    for n in range(count):
+        d0, d1, d2, d3 = points[0, n] - x0, points[1, n] - x1, points[2, n] - x2, points[3, n] - x3
+        squared[n] = d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3
 
 
 @inlined
@@ -25,16 +34,19 @@ def put_near(squared, begin, wide, found, gap, m):  # type: ignore[no-untyped-de
     chosen = at_most(squared, begin, wide)
     place, m = m, m + np.int64(how_many(chosen))
     for _ in range(FEW):
-        n = begin + np.int64(lowest_bit(chosen))
-        found[place], gap[place] = n, squared[n]
+        chosen = _put_first(chosen, squared, begin, found, gap, place)
         place += 1
-        chosen &= chosen - np.uint64(1)
     while chosen:
-        n = begin + np.int64(lowest_bit(chosen))
-        found[place], gap[place] = n, squared[n]
+        chosen = _put_first(chosen, squared, begin, found, gap, place)
         place += 1
-        chosen &= chosen - np.uint64(1)
     return m
+
+
+@inlined
+def _put_first(chosen, squared, begin, found, gap, place):  # type: ignore[no-untyped-def]
+    n = begin + np.int64(lowest_bit(chosen))
+    found[place], gap[place] = n, squared[n]
+    return chosen & (chosen - np.uint64(1))
 
 
 @intrinsic

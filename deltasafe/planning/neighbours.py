@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compiling import inlined
 from deltasafe.planning.buckets import BucketTree, collect, empty_buckets, insert, nearest_in
-from deltasafe.planning.groups import GROUP, at_most, how_many, lowest_bit, put_near
+from deltasafe.planning.groups import GROUP, at_most, how_many, lowest_bit, measure, put_near
 
 __all__ = ["MANY", "Neighbours", "add_point", "empty_neighbours", "k_nearest", "nearest", "within"]
 
@@ -69,7 +69,7 @@ def nearest(known, count, point):  # type: ignore[no-untyped-def]
     x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
     if count > known.many:
         return nearest_in(known.buckets, x)
-    _measure(known, count, x)
+    measure(known.points, _in_groups(count), x, known.squared)
     # the bits of floats that are not negative are ordered as they are, and vector units find the least integer
     bits, least, place = known.bits, np.int32(0x7F800000), 0
     for n in range(_in_groups(count)):
@@ -95,7 +95,7 @@ def k_nearest(known, count, point, k, guess, measured):  # type: ignore[no-untyp
         return count, guess
     x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
     if count <= known.many and not measured:
-        _measure(known, count, x)
+        measure(known.points, _in_groups(count), x, known.squared)
     wide = np.float32(guess)
     while True:
         m = _candidates(known, count, x, wide)
@@ -129,7 +129,7 @@ def within(known, count, point, squared_radius):  # type: ignore[no-untyped-def]
     """The points within a radius, in ``known.found``; returns how many."""
     x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
     if count <= known.many:
-        _measure(known, count, x)
+        measure(known.points, _in_groups(count), x, known.squared)
     return _candidates(known, count, x, np.float32(squared_radius))
 
 
@@ -147,12 +147,3 @@ def _candidates(known, count, x, wide):  # type: ignore[no-untyped-def]
 def _in_groups(count):  # type: ignore[no-untyped-def]
     """The next multiple of a group."""
     return (count + GROUP - 1) // GROUP * GROUP
-
-
-@inlined
-def _measure(known, count, x):  # type: ignore[no-untyped-def]
-    x0, x1, x2, x3 = x
-    points, squared = known.points, known.squared
-    for n in range(_in_groups(count)):
-        d0, d1, d2, d3 = points[0, n] - x0, points[1, n] - x1, points[2, n] - x2, points[3, n] - x3
-        squared[n] = d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3

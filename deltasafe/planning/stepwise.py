@@ -50,16 +50,16 @@ class ExactTest(NamedTuple):
 def _sampled(test, first, second):  # type: ignore[no-untyped-def]
     start, end = in_order(first, second)
     last = _last_step(test.steps, start, end)
-    step = _open_step(test.certificates, test.steps, start, end, last, 0)
+    step, pose = _open_step(test.certificates, test.steps, start, end, last, 0)
     if step > last:
         return True
     key = key_of_segment(np.uint64(test.pool.seed), start, end)
     while step <= last:
-        x, y, z, yaw = pose_at(start, end, step * (1.0 / max(last, 1)))
+        x, y, z, yaw = pose
         step += 1
         if not samples_are_free(test.certificates.lattice, test.pool, x, y, z, yaw, mixed(key, step)):
             return False
-        step = _open_step(test.certificates, test.steps, start, end, last, step)
+        step, pose = _open_step(test.certificates, test.steps, start, end, last, step)
     return True
 
 
@@ -68,14 +68,14 @@ def _sampled(test, first, second):  # type: ignore[no-untyped-def]
 def _exact(test, first, second):  # type: ignore[no-untyped-def]
     start, end = in_order(first, second)
     last, need_m = _last_step(test.steps, start, end), test.steps.need_m
-    step = _open_step(test.certificates, test.steps, start, end, last, 0)
+    height_m = test.body.half_thickness_m + need_m
+    step, pose = _open_step(test.certificates, test.steps, start, end, last, 0)
     while step <= last:
-        x, y, z, yaw = pose_at(start, end, step * (1.0 / max(last, 1)))
-        height_m = test.body.half_thickness_m + need_m
+        x, y, z, yaw = pose
         clear_m = level_clearance(test.around, test.body, x, y, z, yaw, need_m, height_m)
         if clear_m < need_m and certified_clearance_m(test.certificates, x, y, z) < need_m:
             return False
-        step = _open_step(test.certificates, test.steps, start, end, last, step + 1)
+        step, pose = _open_step(test.certificates, test.steps, start, end, last, step + 1)
     return True
 
 
@@ -86,10 +86,12 @@ def _last_step(steps, start, end):  # type: ignore[no-untyped-def]
 
 @inlined
 def _open_step(certificates, steps, start, end, last, step):  # type: ignore[no-untyped-def]
-    """The first step from ``step`` on whose pose no certificate settles; beyond ``last`` if there is none."""
+    """The first step from ``step`` on that no certificate settles, with its pose; beyond ``last`` there is none."""
     per_step, per_m = 1.0 / max(last, 1), 1.0 / steps.delta_p_m  # divisions take longer than all the rest
+    pose = start
     while step <= last:
-        x, y, z, yaw = pose_at(start, end, step * per_step)
+        pose = pose_at(start, end, step * per_step)
+        x, y, z, yaw = pose
         if steps.use_certificate:
             free_m = certified_clearance_m(certificates, x, y, z)
             if free_m >= steps.need_m:  # and so are the poses within that way
@@ -99,4 +101,4 @@ def _open_step(certificates, steps, start, end, last, step):  # type: ignore[no-
         if not (by_yaw.clear_m >= steps.need_m and is_free_by_yaw(by_yaw, certificates.lattice, x, y, z, yaw)):
             break
         step += 1
-    return step
+    return step, pose

@@ -14,6 +14,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.planning.baselines.obstacles import GaussianObstacle, ObstacleArrays, obstacle_arrays
 from deltasafe.planning.baselines.probability import JOINT_RISKS, METHODS, collision_probability_of_ball, risk
 from deltasafe.planning.constraint import answers_segments
+from deltasafe.planning.segments import in_order
 
 __all__ = ["GaussianCheckSettings", "GaussianTest", "gaussian_test", "keep_out_m"]
 
@@ -161,12 +162,7 @@ def _where_ball_has_risk(delta, sigma, beyond):  # type: ignore[no-untyped-def]
 @compiled
 def _segment(test, first, second):  # type: ignore[no-untyped-def]
     """Poses at most delta_p apart, both ends included, counted from the same end in both directions."""
-    start, end = first, second
-    for axis in range(3):
-        if first[axis] != second[axis]:
-            if first[axis] > second[axis]:
-                start, end = second, first
-            break
+    start, end = in_order(first, second)
     way = math.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2)
     pieces = math.ceil(way / test.numbers.delta_p_m - 1e-9)
     if test.numbers.joint_risk == 2:
