@@ -30,29 +30,29 @@ export DELTASAFE_PRESET := $(PRESET)
 .PHONY: results scale team services-test lint-deploy browser-test pictures operation-record wheel examples registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study tracking-study benchmarks faults sbom audit
 
 demo: $(STAMP)
-	$(BIN)/python -m pipelines.demo
+	$(BIN)/python -m pipelines.commands.demo
 
 # the demo, and its figures written to docs/results
 record: $(STAMP)
-	$(BIN)/python -m pipelines.demo --record docs/results/$(PRESET).json
+	$(BIN)/python -m pipelines.commands.demo --record docs/results/$(PRESET).json
 
 # Tables I to III, Fig. 4 and the ablation: hours; an interrupted study goes on where it was
 study: $(STAMP)
-	$(BIN)/python -m pipelines.study --record docs/results/perception.json
+	$(BIN)/python -m pipelines.commands.perception_study --record docs/results/perception.json
 
 # Fig. 5 and Fig. 6: minutes
 planner-study: $(STAMP)
-	$(BIN)/python -m pipelines.planner_study --record docs/results/planner.json
+	$(BIN)/python -m pipelines.commands.planner_study --record docs/results/planner.json
 
 # thousands of executed motions, an hour; after `make demo`, whose ensemble it takes.
 # SCENES="DIR ..." names folders of scenes (docs/data.md), EXECUTIONS=N how many motions
 safety-study: $(STAMP)
-	$(BIN)/python -m pipelines.safety_study --record docs/results/safety.json \
+	$(BIN)/python -m pipelines.commands.safety_study --record docs/results/safety.json \
 	  $(if $(SCENES),--scenes $(SCENES)) $(if $(EXECUTIONS),--executions $(EXECUTIONS))
 
 # the tracking bound gamma(v) of the simulated arm, a quarter of an hour
 tracking-study: $(STAMP)
-	$(BIN)/python -m pipelines.tracking_study --record docs/results/safety.json
+	$(BIN)/python -m pipelines.commands.tracking_study --record docs/results/safety.json
 
 # the smoke chain and a thousand plans on a Ray cluster and without one, hosts killed, runs side by side; a quarter of an hour
 scale: $(CLUSTER)
@@ -103,14 +103,14 @@ check: $(STAMP)
 	DAGSTER_HOME= $(BIN)/dagster definitions validate -w workspace.yaml
 
 ui: $(STAMP)
-	$(BIN)/python -m pipelines.ui
+	$(BIN)/python -m pipelines.commands.ui
 
 registry: $(STAMP)
-	$(BIN)/python -m pipelines.registry list
+	$(BIN)/python -m pipelines.tracking.registry list
 
 BECAUSE ?= no reason given
 rollback: $(STAMP)
-	$(BIN)/python -m pipelines.registry rollback --because '$(BECAUSE)'
+	$(BIN)/python -m pipelines.tracking.registry rollback --because '$(BECAUSE)'
 
 wheel: $(STAMP)
 	$(BIN)/python -m hatchling build -t wheel -d dist
@@ -118,7 +118,7 @@ wheel: $(STAMP)
 # three ways of pulling the ensemble, in environments of their own (7 GB below examples/ the first time);
 # ENSEMBLE=DIR names another than the one in use, RECORD=FILE merges the figures into a record
 examples: $(STAMP)
-	$(BIN)/python -m pipelines.consumers --torch-index '$(TORCH_INDEX)' \
+	$(BIN)/python -m pipelines.commands.consumers --torch-index '$(TORCH_INDEX)' \
 	  $(if $(ENSEMBLE),--ensemble '$(ENSEMBLE)') $(if $(RECORD),--record $(RECORD))
 
 team: $(TEAM)

@@ -8,8 +8,8 @@ import pathlib
 import dagster as dg
 
 from assets.config import configurable
-from assets.operation import ON_NEW_ASSET
 from assets.perception import members
+from assets.policies import ON_NEW_ASSET
 from assets.reporting import Metadata, readable
 from deltasafe import presets
 
@@ -26,9 +26,9 @@ GateConfig = configurable(PRESET.gate)
 )
 def no_image_in_both_sets(test_hands: pathlib.Path, raw_hands: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.errors import DataError
-    from deltasafe.perception.hands import HandSet, check_disjoint
+    from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
 
-    train, test = HandSet.load(raw_hands), HandSet.load(test_hands)
+    train, test = LabeledImageSet.load(raw_hands), LabeledImageSet.load(test_hands)
     try:
         check_disjoint(train, test)
     except DataError as error:
@@ -45,7 +45,7 @@ def no_image_in_both_sets(test_hands: pathlib.Path, raw_hands: pathlib.Path) -> 
 )
 def images_match_their_recipes(augmented_hands: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.errors import DataError
-    from deltasafe.perception.augmented_set import AugmentedSet
+    from deltasafe.perception.data.augmented_set import AugmentedSet
 
     data = AugmentedSet.load(augmented_hands)
     try:
@@ -97,7 +97,7 @@ _LEARNED = 0.5
 
 def _fall_of_loss(folder: pathlib.Path) -> float:
     """Mean of the last losses over that of the first."""
-    from deltasafe.perception.member import Member
+    from deltasafe.perception.training.member import Member
 
     losses = Member.load(folder).losses
     n = max(1, min(20, len(losses) // 5))
@@ -110,7 +110,7 @@ def _fall_of_loss(folder: pathlib.Path) -> float:
     description="The gate: accurate enough, and the test images support the delta that planning will use.",
 )
 def may_be_frozen(calibration_report: pathlib.Path, config: GateConfig) -> dg.AssetCheckResult:
-    from deltasafe.perception.calibration_report import CalibrationReport, gate
+    from deltasafe.perception.calibration.report import CalibrationReport, gate
 
     report = CalibrationReport.load(calibration_report)
     thresholds = config.settings()
@@ -129,7 +129,7 @@ def may_be_frozen(calibration_report: pathlib.Path, config: GateConfig) -> dg.As
 )
 def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.errors import DataError
-    from deltasafe.perception.artifact import golden_difference, load_ensemble
+    from deltasafe.perception.artifact.frozen_ensemble import golden_difference, load_ensemble
 
     try:
         difference = golden_difference(load_ensemble(frozen_ensemble))
@@ -148,7 +148,7 @@ def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResu
     description="In no scene would the planner take more than 5 % of the true hand for free.",
 )
 def true_hands_are_seen(occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path) -> dg.AssetCheckResult:
-    from deltasafe.trials.fields import missed_hand
+    from deltasafe.trials.occupancy_fields import missed_hand
     from deltasafe.trials.selection import load_selection
 
     missed = missed_hand(load_selection(logged_scenes), occupancy_fields, PRESET.motion.delta)

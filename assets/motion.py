@@ -6,7 +6,7 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Store
-from assets.operation import ALL_CORES, ON_NEW_DATA, TWICE_MORE, fails_for_good
+from assets.policies import ALL_CORES, ON_NEW_DATA, RETRY_TWICE, no_retry
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture, readable, with_opening
 from deltasafe import presets
@@ -49,12 +49,12 @@ class SafetyConfig(dg.Config):
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image", "json"}, code_version="1")
-@fails_for_good
+@no_retry
 def logged_scenes(
     context: dg.AssetExecutionContext, config: ScenesConfig, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
     """Images of a table with a hand on it, with camera, start and goal; mask and mesh are for judging alone."""
-    from deltasafe.storage import sha256_of_file
+    from deltasafe.io.storage import sha256_of_file
     from deltasafe.trials.overview import tile_pictures
     from deltasafe.trials.selection import select_scenes
 
@@ -74,10 +74,10 @@ def logged_scenes(
     owners=OWNERS,
     kinds={"pytorch", "numpy"},
     code_version="1",
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
     automation_condition=ON_NEW_DATA,
 )
-@fails_for_good
+@no_retry
 def occupancy_fields(
     context: dg.AssetExecutionContext,
     config: FieldConfig,
@@ -86,8 +86,8 @@ def occupancy_fields(
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """What the frozen ensemble sees in each scene, extruded along the camera's rays to the height of the hand."""
-    from deltasafe.perception.artifact import load_ensemble
-    from deltasafe.trials.fields import write_fields
+    from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
+    from deltasafe.trials.occupancy_fields import write_fields
     from deltasafe.trials.overview import overview
     from deltasafe.trials.selection import load_selection
 
@@ -104,11 +104,11 @@ def occupancy_fields(
     owners=OWNERS,
     kinds={"numba"},
     code_version="1",
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
     automation_condition=ON_NEW_DATA,
     pool=ALL_CORES,
 )
-@fails_for_good
+@no_retry
 def planned_motions(
     context: dg.AssetExecutionContext,
     config: MotionConfig,
@@ -118,7 +118,7 @@ def planned_motions(
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """A delta-safe path by SCC-RRT* and a velocity schedule for each scene, or the reason why there is none."""
-    from deltasafe.perception.calibration import Calibration
+    from deltasafe.perception.calibration.delta_support import Calibration
     from deltasafe.trials.motions import plan_scenes
     from deltasafe.trials.selection import load_selection
 
@@ -143,11 +143,11 @@ def planned_motions(
     owners=OWNERS,
     kinds={"bullet"},
     code_version="1",
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
     automation_condition=ON_NEW_DATA,
     pool=ALL_CORES,
 )
-@fails_for_good
+@no_retry
 def executed_motions(
     context: dg.AssetExecutionContext,
     config: ExecutedConfig,
@@ -187,10 +187,10 @@ def executed_motions(
     owners=OWNERS,
     kinds={"markdown"},
     code_version="1",
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
     automation_condition=ON_NEW_DATA,
 )
-@fails_for_good
+@no_retry
 def safety_report(
     context: dg.AssetExecutionContext,
     config: SafetyConfig,
@@ -201,8 +201,8 @@ def safety_report(
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """Was what was executed delta-safe? Clearances to the true hand, contacts, tracking errors, films."""
-    from deltasafe.trials.safety_writing import write_safety_report
     from deltasafe.trials.selection import load_selection
+    from deltasafe.trials.write_safety_report import write_safety_report
 
     folder = store.folder("safety_report", context.run_id[:8])
     report = write_safety_report(

@@ -1,4 +1,4 @@
-"""From fifty labelled images to a frozen ensemble."""
+"""From fifty labeled images to a frozen ensemble."""
 
 import pathlib
 from typing import TYPE_CHECKING
@@ -7,7 +7,7 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Registry, Store, Tracker
-from assets.operation import ALL_CORES, TWICE_MORE, fails_for_good
+from assets.policies import ALL_CORES, RETRY_TWICE, no_retry
 from assets.progress import progress_of
 from assets.promotion import NOT_WORSE, not_worse, verdict_table
 from assets.reporting import (
@@ -19,10 +19,10 @@ from assets.reporting import (
     with_opening,
 )
 from deltasafe import presets
-from deltasafe.engine import Engine
+from deltasafe.compute.executor import Executor
 
 if TYPE_CHECKING:
-    from deltasafe.perception.hands import HandSet
+    from deltasafe.perception.data.labeled_images import LabeledImageSet
 
 PRESET = presets.active()
 GROUP = "perception"
@@ -63,7 +63,7 @@ class MemberConfig(dg.Config):
 class ReportConfig(dg.Config):
     """How the ensemble looks at the test images, and how its report is computed.
 
-    `calibration_folder` holds further labelled images (images/, masks/) to fit temperature, delta and threshold on;
+    `calibration_folder` holds further labeled images (images/, masks/) to fit temperature, delta and threshold on;
     empty to fit and judge on the test images in turn.
     """
 
@@ -74,27 +74,27 @@ class ReportConfig(dg.Config):
 
 
 def _checked(config: HandsConfig, store: Store, packaged: str) -> dg.Output[pathlib.Path]:
-    from deltasafe.figures.labelled_images import labelled_sheet
-    from deltasafe.perception.hands import HandSet
+    from deltasafe.perception.data.labeled_images import LabeledImageSet
+    from deltasafe.perception.data.labeled_images_figure import labeled_images_figure
 
     folder, registry = store.dataset(config.folder, packaged)
-    hands = HandSet.load(folder, registry)
-    sheet = inline_jpeg(labelled_sheet(hands), "labelled images")
+    hands = LabeledImageSet.load(folder, registry)
+    sheet = inline_jpeg(labeled_images_figure(hands), "labeled images")
     metadata = {"some of them": sheet, "images": len(hands), **folder_facts(folder, hands.digest[:16])}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
-@fails_for_good
+@no_retry
 def raw_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
-    """The labelled training images: few, and of low variety. Checked file by file before anything uses them."""
+    """The labeled training images: few, and of low variety. Checked file by file before anything uses them."""
     return _checked(config, store, "hands/train")
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
-@fails_for_good
+@no_retry
 def test_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
-    """Labelled images of high variety. They enter at the calibration report and nowhere before."""
+    """Labeled images of high variety. They enter at the calibration report and nowhere before."""
     return _checked(config, store, "hands/test")
 
 
@@ -104,9 +104,9 @@ def test_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output
     kinds={"numpy", "image"},
     code_version="1",
     pool=ALL_CORES,
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
 )
-@fails_for_good
+@no_retry
 def augmented_hands(
     context: dg.AssetExecutionContext,
     config: AugmentedConfig,
@@ -114,11 +114,11 @@ def augmented_hands(
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """Twenty new images of each original: background replaced, seven more methods with p = 0.5 each."""
-    from deltasafe.figures.contact_sheet import contact_sheet
-    from deltasafe.perception.augmented_set import write_augmented_set
-    from deltasafe.perception.hands import HandSet
+    from deltasafe.perception.data.augmented_set import write_augmented_set
+    from deltasafe.perception.data.contact_sheet import contact_sheet
+    from deltasafe.perception.data.labeled_images import LabeledImageSet
 
-    hands = HandSet.load(raw_hands)
+    hands = LabeledImageSet.load(raw_hands)
     backgrounds, _ = store.dataset(config.backgrounds, "backgrounds")
     folder = store.folder("augmented_hands", context.run_id[:8])
     settings, progress = config.augmentation.settings(), progress_of(context)
@@ -137,16 +137,16 @@ def augmented_hands(
     partitions_def=members,
     backfill_policy=dg.BackfillPolicy.single_run(),
     pool=ALL_CORES,
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
 )
-@fails_for_good
+@no_retry
 def ensemble_member(
     context: dg.AssetExecutionContext,
     config: MemberConfig,
     augmented_hands: pathlib.Path,
     store: dg.ResourceParam[Store],
     tracker: dg.ResourceParam[Tracker],
-    engine: dg.ResourceParam[Engine],
+    executor: dg.ResourceParam[Executor],
 ) -> dict[str, pathlib.Path]:
     """Networks trained independently: own random head, own shuffling. An interrupted training is resumed."""
     from assets.training import Training, train_and_record
@@ -154,7 +154,7 @@ def ensemble_member(
     everyone = members.get_partition_keys()
     seeds = {name: config.first_seed + everyone.index(name) for name in sorted(context.partition_keys)}
     settings = config.training.settings()
-    where = Training(config.device, config.workers, engine)
+    where = Training(config.device, config.workers, executor)
     return train_and_record(context, seeds, augmented_hands, settings, where, store, tracker)
 
 
@@ -164,9 +164,9 @@ def ensemble_member(
     kinds={"pytorch", "markdown"},
     code_version="1",
     pool=ALL_CORES,
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
 )
-@fails_for_good
+@no_retry
 def calibration_report(
     context: dg.AssetExecutionContext,
     config: ReportConfig,
@@ -177,13 +177,13 @@ def calibration_report(
     tracker: dg.ResourceParam[Tracker],
 ) -> dg.Output[pathlib.Path]:
     """May the mean of the members be called a probability? Judged on all pixels of the test images."""
-    from deltasafe.perception.ensemble_evaluation import evaluate_members
-    from deltasafe.perception.hands import HandSet
-    from deltasafe.perception.member import Member
-    from deltasafe.storage import sha256_of_file
+    from deltasafe.io.storage import sha256_of_file
+    from deltasafe.perception.data.labeled_images import LabeledImageSet
+    from deltasafe.perception.evaluate_ensemble import evaluate_members
+    from deltasafe.perception.training.member import Member
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
-    folder, test = store.folder("calibration_report", context.run_id[:8]), HandSet.load(test_hands)
+    folder, test = store.folder("calibration_report", context.run_id[:8]), LabeledImageSet.load(test_hands)
     report = evaluate_members(
         trained,
         test,
@@ -201,18 +201,18 @@ def calibration_report(
     return dg.Output(folder, metadata={**metadata, **folder_facts(folder)}, data_version=version)
 
 
-def _calibration_set(folder: str, training: pathlib.Path) -> "HandSet | None":
-    from deltasafe.perception.hands import HandSet, check_disjoint
+def _calibration_set(folder: str, training: pathlib.Path) -> "LabeledImageSet | None":
+    from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
 
     if not folder:
         return None
-    calibration = HandSet.load(folder)
-    check_disjoint(HandSet.load(training), calibration)
+    calibration = LabeledImageSet.load(folder)
+    check_disjoint(LabeledImageSet.load(training), calibration)
     return calibration
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"pytorch", "onnx"}, code_version="2", retry_policy=TWICE_MORE)
-@fails_for_good
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"pytorch", "onnx"}, code_version="2", retry_policy=RETRY_TWICE)
+@no_retry
 def frozen_ensemble(
     ensemble_member: dict[str, pathlib.Path],
     calibration_report: pathlib.Path,
@@ -221,12 +221,12 @@ def frozen_ensemble(
     tracker: dg.ResourceParam[Tracker],
 ) -> dg.Output[pathlib.Path]:
     """The ensemble as a folder named by its content, for other projects; a version of the model, as challenger."""
-    from deltasafe.perception.ensemble_evaluation import freeze_evaluated
-    from deltasafe.perception.hands import HandSet
-    from deltasafe.perception.member import Member
+    from deltasafe.perception.data.labeled_images import LabeledImageSet
+    from deltasafe.perception.evaluate_ensemble import freeze_evaluated
+    from deltasafe.perception.training.member import Member
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
-    golden_rgb, _ = HandSet.load(raw_hands).read(0)
+    golden_rgb, _ = LabeledImageSet.load(raw_hands).read(0)
     folder = freeze_evaluated(trained, calibration_report, golden_rgb, store.home / "frozen")
     page = tracker.register(trained[0].ensemble_identity, folder)
     card = dg.MetadataValue.md((folder / "model_card.md").read_text(encoding="utf-8"))
@@ -239,12 +239,12 @@ def frozen_ensemble(
     owners=OWNERS,
     kinds={"mlflow"},
     code_version="1",
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
     check_specs=[NOT_WORSE],
     dagster_type=dg.Any,
     pool="registry",
 )
-@fails_for_good
+@no_retry
 def champion(
     context: dg.AssetExecutionContext,
     config: PromotionConfig,
@@ -254,11 +254,11 @@ def champion(
     registry: dg.ResourceParam[Registry],
 ) -> dg.MaterializeResult:
     """The ensemble in use: the new one if it is not worse than the one before on the same test images."""
-    from deltasafe.perception.hands import HandSet
-    from deltasafe.perception.promotion import judge_challenger
+    from deltasafe.perception.artifact.promotion import judge_challenger
+    from deltasafe.perception.data.labeled_images import LabeledImageSet
 
     present, objection = registry.champion(), registry.objection(frozen_ensemble)
-    test, kept = HandSet.load(test_hands), store.home / "scores"
+    test, kept = LabeledImageSet.load(test_hands), store.home / "scores"
     settings, progress = config.settings(), progress_of(context)
     verdict = judge_challenger(frozen_ensemble, present, test, kept, settings, objection, progress)
     folder = registry.decide(frozen_ensemble, verdict.promoted, verdict.reason)

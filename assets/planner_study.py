@@ -6,11 +6,11 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Store
-from assets.operation import ALL_CORES, fails_for_good
+from assets.policies import ALL_CORES, no_retry
 from assets.progress import progress_of
 from assets.reporting import Metadata, inline_picture
 from deltasafe import presets
-from deltasafe.engine import Engine
+from deltasafe.compute.executor import Executor
 
 PRESET = presets.active()
 GROUP = "planner_study"
@@ -36,18 +36,18 @@ class TimeConfig(dg.Config):
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1", pool=ALL_CORES)
-@fails_for_good
+@no_retry
 def planner_costs(
     context: dg.AssetExecutionContext,
     config: CostConfig,
     store: dg.ResourceParam[Store],
-    engine: dg.ResourceParam[Engine],
+    executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
     """Fig. 5: cost of planned paths over the uncertainty, four methods and references, every path checked again."""
-    from deltasafe.planner_study import compare
+    from deltasafe.studies.planner import compare
 
     batches = store.folder("planner_costs", "batches")
-    found = compare(config.study.settings(), batches, config.workers, progress_of(context), engine)
+    found = compare(config.study.settings(), batches, config.workers, progress_of(context), executor)
     folder = store.folder("planner_costs", context.run_id[:8])
     found.save(folder)
     return dg.Output(folder, metadata={"minutes": found.effort.minutes, "CPU minutes": found.effort.cpu_minutes})
@@ -55,25 +55,25 @@ def planner_costs(
 
 # after the costs, so that nothing else runs while times are measured
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1", deps=[planner_costs], pool=ALL_CORES)
-@fails_for_good
+@no_retry
 def planner_times(
     context: dg.AssetExecutionContext,
     config: TimeConfig,
     store: dg.ResourceParam[Store],
-    engine: dg.ResourceParam[Engine],
+    executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
     """Fig. 6: time of a search over 1 to 100 obstacles, for all methods, the field given and the field built."""
-    from deltasafe.planner_study import measure_times
+    from deltasafe.studies.planner import measure_times
 
     batches = store.folder("planner_times", "batches")
-    found = measure_times(config.study.settings(), batches, config.workers, progress_of(context), engine)
+    found = measure_times(config.study.settings(), batches, config.workers, progress_of(context), executor)
     folder = store.folder("planner_times", context.run_id[:8])
     found.save(folder)
     return dg.Output(folder, metadata={"minutes": found.effort.minutes, "CPU minutes": found.effort.cpu_minutes})
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1")
-@fails_for_good
+@no_retry
 def planner_report(
     context: dg.AssetExecutionContext,
     planner_costs: pathlib.Path,
@@ -81,7 +81,7 @@ def planner_report(
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """Which of the paper's effects hold and which do not, beside the paper's own curves."""
-    from deltasafe.planner_study import Comparison, Timing, write_study
+    from deltasafe.studies.planner import Comparison, Timing, write_study
 
     folder = store.folder("planner_report", context.run_id[:8])
     figures = write_study(Comparison.load(planner_costs), Timing.load(planner_times), folder)

@@ -4,7 +4,7 @@ import time
 
 import dagster as dg
 
-from deltasafe.progress import Progress
+from deltasafe.compute.progress import Progress
 
 __all__ = ["progress_of"]
 

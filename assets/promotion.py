@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import dagster as dg
 
 if TYPE_CHECKING:
-    from deltasafe.perception.promotion import Verdict
+    from deltasafe.perception.artifact.promotion import Verdict
 
 __all__ = ["NOT_WORSE", "not_worse", "verdict_table"]
 

@@ -29,7 +29,7 @@ PAGE_BYTES = 95_000
 """Of a report with all its pictures: a page loads at once, and the event log stays small."""
 _LEAST_BYTES = 20_000
 _SEEN_DIFFERENCE = 5.0
-"""Of a picture and its few colours (mean of all channels, of 255): above it, a photograph looks like a poster."""
+"""Of a picture and its few colors (mean of all channels, of 255): above it, a photograph looks like a poster."""
 _PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+)\)")
 
 _SHORT_CHARACTERS = 900
@@ -97,7 +97,7 @@ def with_opening(path: pathlib.Path) -> Metadata:
 
 
 def readable(figures: Mapping[str, float]) -> Metadata:
-    """Figures under names that need no explanation, lengths in millimetres, with four significant digits."""
+    """Figures under names that need no explanation, lengths in millimeters, with four significant digits."""
     shown: Metadata = {}
     for name, value in figures.items():
         words, unit = name, ""
@@ -153,16 +153,16 @@ def _inlined(path: pathlib.Path, title: str, limit_bytes: int) -> str:
 
 
 def _reduced(picture: Any, limit_bytes: int) -> tuple[bytes, str]:
-    """The widest that fits: few colours suit a plot, whose lettering JPEG would blur, and JPEG suits a photograph."""
+    """The widest that fits: few colors suit a plot, whose lettering JPEG would blur, and JPEG suits a photograph."""
     for width in (1000, 800, 640, 500, 400, 320, 240, 160):
         smaller = picture.copy()
         smaller.thumbnail((width, 4 * width))
         plot, photograph = io.BytesIO(), io.BytesIO()
-        few_colours = smaller.quantize(48, method=1, dither=0)
-        few_colours.save(plot, format="PNG", optimize=True)
+        few_colors = smaller.quantize(48, method=1, dither=0)
+        few_colors.save(plot, format="PNG", optimize=True)
         smaller.save(photograph, format="JPEG", quality=72, optimize=True)
         made = [(photograph.getvalue(), "jpeg")]
-        if _mean_difference(smaller, few_colours.convert("RGB")) < _SEEN_DIFFERENCE:
+        if _mean_difference(smaller, few_colors.convert("RGB")) < _SEEN_DIFFERENCE:
             made.append((plot.getvalue(), "png"))
         data, kind = min(made, key=lambda one: len(one[0]))
         if len(data) <= limit_bytes:

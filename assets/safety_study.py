@@ -6,11 +6,11 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Registry, Store
-from assets.operation import ALL_CORES, fails_for_good
+from assets.policies import ALL_CORES, no_retry
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture
 from deltasafe import presets
-from deltasafe.engine import Engine
+from deltasafe.compute.executor import Executor
 from deltasafe.errors import SettingsError
 
 PRESET = presets.active()
@@ -41,16 +41,16 @@ class TrialsConfig(dg.Config):
     deps=["champion"],
     pool=ALL_CORES,
 )
-@fails_for_good
+@no_retry
 def safety_trials(
     context: dg.AssetExecutionContext,
     config: TrialsConfig,
     store: dg.ResourceParam[Store],
     registry: dg.ResourceParam[Registry],
-    engine: dg.ResourceParam[Engine],
+    executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
     """Motions planned and executed: ours, single members, no schedule, the compared methods, at every delta."""
-    from deltasafe.safety_study import StudyInputs, run_study
+    from deltasafe.studies.safety import StudyInputs, run_study
 
     folders = config.scenes or [str(store.dataset("", "scenes")[0])]
     ensemble = config.ensemble or registry.champion()
@@ -58,7 +58,7 @@ def safety_trials(
         raise SettingsError("there is no ensemble in use yet: make one with `make demo`, or name a frozen one")
     inputs = StudyInputs.gather(folders, ensemble, config.n_scenes)
     batches = store.folder("safety_trials", "batches")
-    found = run_study(config.study.settings(), inputs, batches, config.workers, progress_of(context), engine)
+    found = run_study(config.study.settings(), inputs, batches, config.workers, progress_of(context), executor)
     folder = store.folder("safety_trials", context.run.run_id[:8])
     found.save(folder)
     counts = {"executed": int(found.executed.sum()), "trials": len(found.executed), "minutes": found.effort.minutes}
@@ -66,12 +66,12 @@ def safety_trials(
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1")
-@fails_for_good
+@no_retry
 def safety_study_report(
     context: dg.AssetExecutionContext, safety_trials: pathlib.Path, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
     """Rates of violation with exact intervals, clearances, comparisons; failures are listed and filmed."""
-    from deltasafe.safety_study import SafetyStudy, write_safety_study
+    from deltasafe.studies.safety import SafetyStudy, write_safety_study
 
     folder = store.folder("safety_study_report", context.run.run_id[:8])
     figures = write_safety_study(SafetyStudy.load(safety_trials), folder, progress_of(context, every_s=2.0))

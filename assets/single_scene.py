@@ -6,7 +6,7 @@ import dagster as dg
 
 from assets.interfaces import Store
 from assets.motion import ExecutionConfig, FieldConfig, PlannerConfig
-from assets.operation import ALL_CORES, TWICE_MORE, fails_for_good
+from assets.policies import ALL_CORES, RETRY_TWICE, no_retry
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture, readable, with_opening
 
@@ -38,12 +38,12 @@ class SceneExecutionConfig(dg.Config):
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image", "json"}, code_version="1", partitions_def=scenes)
-@fails_for_good
+@no_retry
 def logged_scene(
     context: dg.AssetExecutionContext, config: SceneConfig, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
     """A scene that was logged just now: image, camera, start and goal, checked."""
-    from deltasafe.storage import sha256_of_file
+    from deltasafe.io.storage import sha256_of_file
     from deltasafe.trials.selection import select_scene
 
     source, _ = store.dataset(config.folder, "scenes")
@@ -61,9 +61,9 @@ def logged_scene(
     code_version="1",
     partitions_def=scenes,
     pool=ALL_CORES,
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
 )
-@fails_for_good
+@no_retry
 def scene_motion(
     context: dg.AssetExecutionContext,
     config: SceneMotionConfig,
@@ -89,9 +89,9 @@ def scene_motion(
     code_version="1",
     partitions_def=scenes,
     pool=ALL_CORES,
-    retry_policy=TWICE_MORE,
+    retry_policy=RETRY_TWICE,
 )
-@fails_for_good
+@no_retry
 def scene_execution(
     context: dg.AssetExecutionContext,
     config: SceneExecutionConfig,

@@ -6,11 +6,11 @@ import dagster as dg
 
 from assets.config import configurable
 from assets.interfaces import Store
-from assets.operation import ALL_CORES, fails_for_good
+from assets.policies import ALL_CORES, no_retry
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture
 from deltasafe import presets
-from deltasafe.engine import Engine
+from deltasafe.compute.executor import Executor
 
 PRESET = presets.active()
 GROUP = "tracking_study"
@@ -27,18 +27,18 @@ class TrackingConfig(dg.Config):
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"bullet", "numba"}, code_version="1", pool=ALL_CORES)
-@fails_for_good
+@no_retry
 def tracking_bound(
     context: dg.AssetExecutionContext,
     config: TrackingConfig,
     store: dg.ResourceParam[Store],
-    engine: dg.ResourceParam[Engine],
+    executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
     """The tracking error of test motions over the workspace, a tolerance bound from it, and its held-out coverage."""
-    from deltasafe.tracking_study import run_study, write_tracking_report
+    from deltasafe.studies.tracking import run_study, write_tracking_report
 
     batches = store.folder("tracking_bound", "batches")
-    study = run_study(config.study.settings(), batches, config.workers, progress_of(context), engine)
+    study = run_study(config.study.settings(), batches, config.workers, progress_of(context), executor)
     folder = store.folder("tracking_bound", context.run_id[:8])
     study.save(folder)
     report = folder.with_name(f"{folder.name}-report")
@@ -54,7 +54,7 @@ def tracking_bound(
 
 @dg.asset_check(asset="tracking_bound", description="The bound holds what it promises on runs that it has not seen.")
 def bound_covers_held_out_runs(tracking_bound: pathlib.Path) -> dg.AssetCheckResult:
-    from deltasafe.tracking_study import TrackingStudy
+    from deltasafe.studies.tracking import TrackingStudy
 
     study = TrackingStudy.load(tracking_bound)
     coverage = {one.name: one.of_runs for one in study.coverage()}

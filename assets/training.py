@@ -9,7 +9,7 @@ import dagster as dg
 from assets.interfaces import Store, Tracker, TrainedMember
 from assets.progress import progress_of
 from assets.reporting import folder_facts, inline_picture, page_link
-from deltasafe.engine import Engine
+from deltasafe.compute.executor import Executor
 from deltasafe.perception.settings import TrainingSettings
 
 __all__ = ["Training", "train_and_record"]
@@ -21,7 +21,7 @@ class Training:
 
     device: str
     workers: int
-    engine: Engine
+    executor: Executor
 
 
 def train_and_record(
@@ -37,10 +37,10 @@ def train_and_record(
 
     A folder's name is the digest of what determines the member, so a second run finds it finished.
     """
-    from deltasafe.figures.training import loss_curves
-    from deltasafe.perception.augmented_set import AugmentedSet
-    from deltasafe.perception.ensemble_training import MemberJob, train_members
-    from deltasafe.perception.training import StepReport, training_identity
+    from deltasafe.perception.data.augmented_set import AugmentedSet
+    from deltasafe.perception.training.loss_figure import loss_curves
+    from deltasafe.perception.training.train_ensemble import MemberJob, train_members
+    from deltasafe.perception.training.train_member import StepReport, training_identity
 
     data = AugmentedSet.load(augmented)
     jobs = [
@@ -63,7 +63,7 @@ def train_and_record(
         device=where.device,
         workers=where.workers,
         on_step=on_step,
-        engine=where.engine,
+        executor=where.executor,
     )
     for name, member in trained.items():
         losses, curve, per_epoch = member.losses, member.folder / "loss.png", member.record["steps_per_epoch"]

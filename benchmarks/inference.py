@@ -1,4 +1,4 @@
-"""A frozen ensemble in each engine against its members called one after another in eager torch.
+"""A frozen ensemble in each backend against its members called one after another in eager torch.
 
 Both sides do the whole way from an RGB image to p_occupied at its resolution, with the same number of threads.
 Members are made from settings and perturbed, not trained: time does not depend on what the weights are.
@@ -20,12 +20,12 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.measuring import conclude, foreign_cores, interleaved, median_ms, parser, say
-from deltasafe.perception.artifact import FrozenEnsemble, freeze_ensemble, load_ensemble
-from deltasafe.perception.calibration import Calibration
-from deltasafe.perception.ensemble import Ensemble, probability
-from deltasafe.perception.member import Member
-from deltasafe.perception.network import SegmentationNetwork, build_network
+from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, freeze_ensemble, load_ensemble
+from deltasafe.perception.calibration.delta_support import Calibration
+from deltasafe.perception.inference.ensemble import Ensemble, probability
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
+from deltasafe.perception.training.member import Member
+from deltasafe.perception.training.network import SegmentationNetwork, build_network
 
 __all__ = ["main"]
 
@@ -71,17 +71,17 @@ class OneAfterAnother:
 def measure(folder: pathlib.Path, sizes: Sequence[tuple[int, int]], repeats: int) -> dict[str, Any]:
     """For each image size and way of asking ``folder``: medians in ms, ratio to eager torch, difference from it."""
     usual = load_ensemble(folder)
-    default = usual.engine.name
-    engines: dict[str, FrozenEnsemble] = {default: usual}
+    default = usual.backend.name
+    backends: dict[str, FrozenEnsemble] = {default: usual}
     for name in ("onnxruntime", "openvino", "torch"):
-        if name not in engines and importlib.util.find_spec(name) is not None:
-            engines[name] = load_ensemble(folder, engine=name)
-    reference: Ensemble = load_ensemble(folder, engine="torch")
+        if name not in backends and importlib.util.find_spec(name) is not None:
+            backends[name] = load_ensemble(folder, backend=name)
+    reference: Ensemble = load_ensemble(folder, backend="torch")
     plain = OneAfterAnother([_unchanged(member) for member in reference.members], reference.resized)
     found: dict[str, Any] = {}
     for height, width in sizes:
         rgb = np.random.default_rng(1).integers(0, 256, (height, width, 3), dtype=np.uint8)
-        askers: dict[str, Any] = {PLAIN: plain, **engines}
+        askers: dict[str, Any] = {PLAIN: plain, **backends}
         expected = plain.p_occupied(rgb)
         say(f"{width}x{height}: {repeats} turns of {', '.join(askers)}")
         with foreign_cores() as others:
@@ -89,7 +89,7 @@ def measure(folder: pathlib.Path, sizes: Sequence[tuple[int, int]], repeats: int
             seconds = interleaved(programs, repeats)
         found[f"{width}x{height}"] = {
             "foreign_cores": others.cores,
-            "default_engine": default,
+            "default_backend": default,
             "range_of_p_occupied": [float(expected.min()), float(expected.max())],
             "ways": {
                 name: {
@@ -110,11 +110,11 @@ def _unchanged(member: torch.nn.Module) -> Any:
 
 
 def figures(found: dict[str, Any]) -> dict[str, float]:
-    """`inference_ratio` is that of the first size, with the default engine."""
+    """`inference_ratio` is that of the first size, with the default backend."""
     made: dict[str, float] = {}
     for index, (size, result) in enumerate(found.items()):
         behind = "" if index == 0 else f"_{size}"
-        ours, plain = result["ways"][result["default_engine"]], result["ways"][PLAIN]
+        ours, plain = result["ways"][result["default_backend"]], result["ways"][PLAIN]
         made[f"inference_ratio{behind}"] = ours["ratio"]
         made[f"inference_ms{behind}"] = ours["median_ms"]
         made[f"inference_plain_ms{behind}"] = plain["median_ms"]
@@ -137,7 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
     say(f"M = {options.members}, {options.threads} threads, medians of {options.repeats} turns")
     for size, result in found.items():
         for name, way in result["ways"].items():
-            default = " (default)" if name == result["default_engine"] else ""
+            default = " (default)" if name == result["default_backend"] else ""
             say(
                 f"{size:>9}  {name + default:26}{way['median_ms']:9.1f} ms   x{way['ratio']:5.2f}   "
                 f"differs by {way['largest_difference']:.0e}"

@@ -12,8 +12,8 @@ from typing import Any
 
 import torch
 
-from pipelines.provenance import commit, machine
-from pipelines.records import merge_part
+from pipelines.commands.provenance import commit, machine
+from pipelines.commands.records import merge_part
 
 __all__ = ["conclude", "foreign_cores", "interleaved", "matmul_peak", "median_ms", "parser", "say"]
 

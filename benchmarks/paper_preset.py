@@ -19,11 +19,11 @@ import torch
 
 from benchmarks.flops import training_flops
 from benchmarks.measuring import conclude, foreign_cores, parser, say
-from deltasafe.perception.augmented_set import write_augmented_set
-from deltasafe.perception.ensemble_training import MemberJob, train_members
-from deltasafe.perception.hands import HandSet
-from deltasafe.perception.network import build_network, pretrained_weights_at_hand
-from deltasafe.perception.precision import resolved_precision
+from deltasafe.perception.data.augmented_set import write_augmented_set
+from deltasafe.perception.data.labeled_images import LabeledImageSet
+from deltasafe.perception.training.network import build_network, pretrained_weights_at_hand
+from deltasafe.perception.training.precision import resolved_precision
+from deltasafe.perception.training.train_ensemble import MemberJob, train_members
 from deltasafe.presets import PRESETS, Preset
 from pipelines.home import DATASETS
 
@@ -49,7 +49,7 @@ def projection(
 
 def measure(options: argparse.Namespace, scratch: pathlib.Path) -> tuple[dict[str, float], dict[str, Any]]:
     """Figures of one training, and what explains them."""
-    hands = HandSet.load(DATASETS / "hands" / "train")
+    hands = LabeledImageSet.load(DATASETS / "hands" / "train")
     augmentation = dataclasses.replace(PAPER.augmentation, n_variants=1)
     training = dataclasses.replace(PAPER.training, epochs=1)
     if options.tiny:

@@ -11,10 +11,10 @@ from PIL import Image
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from deltasafe.perception.augmented_set import AugmentedSet
-from deltasafe.perception.network import build_network
+from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.settings import TrainingSettings
-from deltasafe.perception.training import learning_rate
+from deltasafe.perception.training.network import build_network
+from deltasafe.perception.training.train_member import learning_rate
 
 __all__ = ["PngHands", "plain_training", "write_pngs"]
 

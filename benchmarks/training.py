@@ -21,13 +21,13 @@ import torch
 from benchmarks.flops import training_flops
 from benchmarks.measuring import conclude, foreign_cores, matmul_peak, parser, say
 from benchmarks.plain_training import PngHands, plain_training, write_pngs
-from deltasafe.perception.augmentation import AugmentationSettings
-from deltasafe.perception.augmented_set import AugmentedSet, write_augmented_set
-from deltasafe.perception.ensemble_training import MemberJob, train_members
-from deltasafe.perception.hands import HandSet
-from deltasafe.perception.network import build_network
-from deltasafe.perception.precision import resolved_precision
+from deltasafe.perception.data.augmentation import AugmentationSettings
+from deltasafe.perception.data.augmented_set import AugmentedSet, write_augmented_set
+from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.settings import NetworkSettings, TrainingSettings
+from deltasafe.perception.training.network import build_network
+from deltasafe.perception.training.precision import resolved_precision
+from deltasafe.perception.training.train_ensemble import MemberJob, train_members
 from deltasafe.presets import PRESETS
 from pipelines.home import DATASETS
 
@@ -80,7 +80,7 @@ class Bench:
             augmentation = AugmentationSettings(width=64, height=48, supersampling=1)
             recipe = dataclasses.replace(recipe, network=NetworkSettings(pretrained=False, pyramid_channels=8))
             recipe = dataclasses.replace(recipe, batch_size=2, precision="float32")
-        hands = HandSet.load(DATASETS / "hands" / "train")
+        hands = LabeledImageSet.load(DATASETS / "hands" / "train")
         needed = recipe.batch_size * (options.steps + 1)
         n_hands = min(len(hands), needed)
         hands = dataclasses.replace(hands, items=hands.items[:n_hands], pixel_digests=hands.pixel_digests[:n_hands])

@@ -64,10 +64,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _verify(folder: pathlib.Path, public_key: pathlib.Path | None) -> None:
-    from deltasafe.perception.artifact import golden_difference, load_ensemble
+    from deltasafe.perception.artifact.frozen_ensemble import golden_difference, load_ensemble
 
     if public_key is not None:
-        from deltasafe.perception.signature import verify_signature
+        from deltasafe.perception.artifact.signature import verify_signature
 
         verify_signature(folder, public_key)
         print(f"{folder}: signed with the private half of {public_key}")
@@ -81,7 +81,7 @@ def _verify(folder: pathlib.Path, public_key: pathlib.Path | None) -> None:
 
 
 def _sign(folder: pathlib.Path, key: pathlib.Path) -> None:
-    from deltasafe.perception.signature import sign_artifact
+    from deltasafe.perception.artifact.signature import sign_artifact
 
     print(f"{sign_artifact(folder, key)}: belongs beside the folder; pass on both")
 
@@ -110,10 +110,10 @@ def _predict(folder: pathlib.Path, image: pathlib.Path, output: pathlib.Path | N
     import cv2
     import numpy as np
 
-    from deltasafe.figures.occupancy import occupancy_overlay
-    from deltasafe.perception.artifact import load_ensemble
-    from deltasafe.perception.hands import read_rgb
-    from deltasafe.storage import atomic_file
+    from deltasafe.io.storage import atomic_file
+    from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
+    from deltasafe.perception.data.labeled_images import read_rgb
+    from deltasafe.perception.inference.occupancy_overlay import occupancy_overlay
 
     rgb = read_rgb(image)
     output = output or pathlib.Path(f"{image.stem}.p_occupied.png")

@@ -1,4 +1,4 @@
-"""Poses, paths and trajectories of the tool: metres, radians and seconds in the world frame (z up)."""
+"""Poses, paths and trajectories of the tool: meters, radians and seconds in the world frame (z up)."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ __all__ = ["Pose", "PosePath", "Trajectory", "wrap_to_pi", "yaw_of"]
 Array = NDArray[np.float64]
 
 FARTHEST = 1000.0
-"""Metres and radians: searches divide the space between their ends into cells, and count them."""
+"""Meters and radians: searches divide the space between their ends into cells, and count them."""
 
 
 def wrap_to_pi(angle_rad: Array | float) -> Array:
@@ -29,7 +29,7 @@ def yaw_of(quaternions: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Position of the tool centre and its rotation about the vertical axis (section V-B of the paper)."""
+    """Position of the tool center and its rotation about the vertical axis (section V-B of the paper)."""
 
     x_m: float
     y_m: float
@@ -40,13 +40,13 @@ class Pose:
         if not all(math.isfinite(value) for value in self.as_tuple()):
             raise SettingsError(f"a pose must be finite, got {self.as_tuple()}")
         if max(map(abs, self.as_tuple())) > FARTHEST:
-            raise SettingsError(f"a pose must lie within {FARTHEST:g} metres and radians, got {self.as_tuple()}")
+            raise SettingsError(f"a pose must lie within {FARTHEST:g} meters and radians, got {self.as_tuple()}")
 
     def as_tuple(self) -> tuple[float, float, float, float]:
         return (self.x_m, self.y_m, self.z_m, self.yaw_rad)
 
     def as_array(self) -> Array:
-        """(4,) float64: x, y, z in metres, yaw in radians."""
+        """(4,) float64: x, y, z in meters, yaw in radians."""
         return np.array(self.as_tuple())
 
 
@@ -55,7 +55,7 @@ class PosePath:
     """A polyline of K >= 1 poses; yaw is continuous (unwrapped) along it.
 
     Attributes:
-        poses: (K, 4) float64, read-only: x, y, z in metres, yaw in radians.
+        poses: (K, 4) float64, read-only: x, y, z in meters, yaw in radians.
     """
 
     poses: Array
@@ -70,7 +70,7 @@ class PosePath:
 
     @property
     def length_m(self) -> float:
-        """Length of the polyline of positions in metres; rotation does not count."""
+        """Length of the polyline of positions in meters; rotation does not count."""
         return float(np.linalg.norm(np.diff(self.poses[:, :3], axis=0), axis=1).sum())
 
 
@@ -80,7 +80,7 @@ class Trajectory:
 
     Attributes:
         time_s: (N,) strictly increasing, starting at 0.
-        poses: (N, 4) x, y, z in metres, yaw in radians (continuous).
+        poses: (N, 4) x, y, z in meters, yaw in radians (continuous).
         velocities: (N, 4) time derivatives of ``poses`` in m/s and rad/s.
     """
 
@@ -110,7 +110,7 @@ class Trajectory:
 
     @property
     def speed_mps(self) -> Array:
-        """(N,) speed of the tool centre in m/s."""
+        """(N,) speed of the tool center in m/s."""
         return np.asarray(np.linalg.norm(self.velocities[:, :3], axis=1))
 
 

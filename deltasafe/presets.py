@@ -5,15 +5,15 @@ import os
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution.simulate import ExecutionSettings
-from deltasafe.perception.augmentation.settings import AugmentationSettings
-from deltasafe.perception.calibration_report import CalibrationSettings, GateThresholds
+from deltasafe.perception.calibration.report import CalibrationSettings, GateThresholds
+from deltasafe.perception.data.augmentation.settings import AugmentationSettings
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings, PromotionSettings, TrainingSettings
-from deltasafe.perception.study import StudySettings
-from deltasafe.planner_study.settings import ComparisonSettings, TimingSettings
 from deltasafe.planning import MotionSettings
-from deltasafe.safety_study.settings import SafetyStudySettings
 from deltasafe.scene import FieldSettings
-from deltasafe.tracking_study.settings import TrackingStudySettings
+from deltasafe.studies.perception import StudySettings
+from deltasafe.studies.planner.settings import ComparisonSettings, TimingSettings
+from deltasafe.studies.safety.settings import SafetyStudySettings
+from deltasafe.studies.tracking.settings import TrackingStudySettings
 
 __all__ = ["PRESETS", "VARIABLE", "Preset", "active"]
 

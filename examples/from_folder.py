@@ -9,8 +9,8 @@ import sys
 import numpy as np
 
 from deltasafe.errors import DeltasafeError
-from deltasafe.perception.artifact import golden_difference, load_ensemble
-from deltasafe.perception.hands import read_rgb
+from deltasafe.perception.artifact.frozen_ensemble import golden_difference, load_ensemble
+from deltasafe.perception.data.labeled_images import read_rgb
 
 
 def main() -> None:
@@ -20,8 +20,8 @@ def main() -> None:
     parser.add_argument("-o", "--output", default="p_occupied.npy", help="(H, W) float32 (default: %(default)s)")
     options = parser.parse_args()
 
-    # every file is compared with its SHA-256 first; without `engine`, the fastest one is taken
-    ensemble = load_ensemble(options.ensemble, engine="torch")
+    # every file is compared with its SHA-256 first; without `backend`, the fastest one is taken
+    ensemble = load_ensemble(options.ensemble, backend="torch")
     difference = golden_difference(ensemble)
     p_occupied = ensemble.p_occupied(read_rgb(options.image))
 

@@ -12,8 +12,8 @@ import numpy as np
 from mlflow.exceptions import MlflowException
 
 from deltasafe.errors import ArtifactError, DeltasafeError
-from deltasafe.perception.artifact import FrozenEnsemble, golden_difference, load_ensemble
-from deltasafe.perception.hands import read_rgb
+from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, golden_difference, load_ensemble
+from deltasafe.perception.data.labeled_images import read_rgb
 
 
 def load_from_registry(name: str, alias: str, folder: str | None = None) -> FrozenEnsemble:

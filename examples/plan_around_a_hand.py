@@ -10,12 +10,12 @@ import sys
 
 from deltasafe import load_ensemble
 from deltasafe.errors import DeltasafeError
-from deltasafe.figures.planning import plan_over_image
-from deltasafe.perception.calibration import require_supported_delta
-from deltasafe.perception.hands import read_rgb
+from deltasafe.perception.calibration.delta_support import require_supported_delta
+from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.planning import plan_motion
 from deltasafe.presets import PRESETS
-from deltasafe.scene import LoggedScene, Sighting, grid_from_image
+from deltasafe.scene import ImageStamp, LoggedScene, grid_from_image
+from deltasafe.trials.motion_figure import plan_over_image
 
 
 def main() -> None:
@@ -35,7 +35,7 @@ def main() -> None:
     rgb = read_rgb(scene.image_path)
     p_occupied = ensemble.p_occupied(rgb)
     field = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, preset.field)
-    motion = plan_motion(field, scene.start, scene.goal, scene.table_z_m, settings, seed=0, seen=Sighting.of(rgb))
+    motion = plan_motion(field, scene.start, scene.goal, scene.table_z_m, settings, seed=0, seen=ImageStamp.of(rgb))
 
     motion.save(options.output)
     picture = options.output / "plan.png"

@@ -73,9 +73,9 @@ def area(size: int, target: int) -> np.ndarray:
 
 
 def bilinear(size: int, target: int) -> np.ndarray:
-    """(target, size): each new pixel lies between two old ones, by the distance of their centres."""
-    centre = ((np.arange(target) + 0.5) * size / target - 0.5).clip(0, size - 1)
-    return (1 - np.abs(centre[:, None] - np.arange(size))).clip(0)
+    """(target, size): each new pixel lies between two old ones, by the distance of their centers."""
+    center = ((np.arange(target) + 0.5) * size / target - 0.5).clip(0, size - 1)
+    return (1 - np.abs(center[:, None] - np.arange(size))).clip(0)
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:

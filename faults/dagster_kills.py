@@ -20,10 +20,10 @@ from random import Random
 
 import dagster as dg
 
-from deltasafe.progress import Progress, silent
+from deltasafe.compute.progress import Progress, silent
 from faults.reporting import conclude, parser, progress_every
+from pipelines.automation.lost_runs import process_of
 from pipelines.home import PROJECT, prepare_home
-from pipelines.lost_runs import process_of
 
 __all__ = ["Outcome", "Stage", "kill_under_dagster", "main"]
 

@@ -10,9 +10,9 @@ import time
 
 import dagster as dg
 
-from deltasafe.storage import atomic_folder
-from pipelines.io import FolderPointers
-from pipelines.lost_runs import fail_lost_runs
+from deltasafe.io.storage import atomic_folder
+from pipelines.automation.lost_runs import fail_lost_runs
+from pipelines.storage.io_manager import FolderPointers
 
 __all__ = ["defs"]
 

@@ -14,7 +14,7 @@ from functools import partial
 from random import Random
 
 from deltasafe.errors import WriteError
-from deltasafe.siblings import left_behind
+from deltasafe.io.temporary_files import left_behind
 from faults.judging import as_reader
 from faults.killing import Writer, run_alone, start_alone
 from faults.reporting import conclude, parser, progress_every
@@ -131,7 +131,7 @@ def denials_of(writer: Writer, place: pathlib.Path, seed: int, count: int) -> It
 def write_at_once(home: pathlib.Path, processes: int, calls: int) -> str:
     """Processes that all write to MLflow's database; what was wrong, or nothing."""
     from assets.interfaces import TrainedMember
-    from pipelines.tracking import MlflowTracker
+    from pipelines.tracking.tracker import MlflowTracker
 
     def work(number: int) -> None:
         for call in range(calls):
@@ -145,7 +145,7 @@ def write_at_once(home: pathlib.Path, processes: int, calls: int) -> str:
 
 
 def _count_of_runs(home: pathlib.Path, expected: int) -> str:
-    from pipelines.tracking import MlflowTracker
+    from pipelines.tracking.tracker import MlflowTracker
 
     tracker = MlflowTracker(home)
     tracker.replay()

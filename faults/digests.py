@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 
-from deltasafe.progress import Progress, silent
+from deltasafe.compute.progress import Progress, silent
 from faults.reporting import conclude, parser, progress_every
 
 __all__ = ["compare", "digests_of", "main"]
@@ -28,9 +28,9 @@ def digests_of(seed: int, home: pathlib.Path) -> dict[str, str]:
 def _perception(seed: int, home: pathlib.Path) -> dict[str, str]:
     import torch
 
+    from deltasafe.io.storage import sha256_of_file
     from deltasafe.perception.settings import NetworkSettings, TrainingSettings
-    from deltasafe.perception.training import train_member
-    from deltasafe.storage import sha256_of_file
+    from deltasafe.perception.training.train_member import train_member
     from faults.sets import tiny_hands, tiny_set
 
     torch.set_num_threads(1)

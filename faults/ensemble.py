@@ -5,11 +5,11 @@ import pathlib
 
 import numpy as np
 
-from deltasafe.perception.artifact import freeze_ensemble
-from deltasafe.perception.calibration import Calibration
-from deltasafe.perception.member import Member
-from deltasafe.perception.network import build_network
+from deltasafe.perception.artifact.frozen_ensemble import freeze_ensemble
+from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
+from deltasafe.perception.training.member import Member
+from deltasafe.perception.training.network import build_network
 
 __all__ = ["calibration_of_one", "free_ensemble", "tiny_ensemble"]
 

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from random import Random
 from unittest import mock
 
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import ArtifactError
-from deltasafe.perception.artifact import load_ensemble
-from deltasafe.progress import Progress, silent
+from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
 from faults.ensemble import tiny_ensemble
 from faults.reporting import conclude, parser, progress_every
 
@@ -27,7 +27,7 @@ READERS = (
     "torch.from_numpy",
     "numpy.load",
     "onnxruntime.InferenceSession",
-    "deltasafe.perception.member.build_network",
+    "deltasafe.perception.training.member.build_network",
 )
 
 

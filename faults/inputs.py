@@ -12,8 +12,8 @@ import sys
 import tempfile
 from collections.abc import Sequence
 
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DeltasafeError
-from deltasafe.progress import Progress, silent
 from faults.ensemble import tiny_ensemble
 from faults.judging import Case, Failure, judge
 from faults.malformed.ensembles import ensemble_cases

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from random import Random
 
-from deltasafe.siblings import left_behind
+from deltasafe.io.temporary_files import left_behind
 
 __all__ = ["Killed", "Writer", "import_beforehand", "kill_once", "run_alone", "start_alone"]
 

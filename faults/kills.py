@@ -6,7 +6,7 @@ import time
 from functools import partial
 from random import Random
 
-from deltasafe.progress import Progress, silent
+from deltasafe.compute.progress import Progress, silent
 from faults.killing import Killed, Writer, kill_once, run_alone
 from faults.reporting import conclude, parser, progress_every
 from faults.writers import prepared_writers

@@ -18,17 +18,17 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.geometry import Pose
 from deltasafe.planning import (
     CheckSettings,
+    DistanceField,
     MotionSettings,
-    SafetyField,
     ToolBody,
     is_segment_safe,
     plan_motion,
     segment_test,
 )
-from deltasafe.progress import Progress, silent
 from deltasafe.scene import Cuboid, OccupancyGrid, Shape, Sphere, grid_from_shapes
 from deltasafe.trials.audit import audit_path
 from faults.reporting import conclude, parser, progress_every
@@ -72,7 +72,7 @@ def check_scene(random: Random, name: str, outcome: Outcome) -> None:
     grid, delta = _grid(random), random.uniform(0.02, 0.6)
     margin_m = random.choice((0.0, random.uniform(0.0, 0.003), random.uniform(0.003, 0.015)))
     body = _body(random)
-    field = SafetyField.build(grid, delta)
+    field = DistanceField.build(grid, delta)
     test = segment_test(field, body, margin_m, CheckSettings())
     wider = segment_test(field, body, min(margin_m + random.choice((1e-5, 0.0005, 0.003)), 0.02), CheckSettings())
     stricter = segment_test(field.at(delta * random.choice((0.5, 0.9, 0.999))), body, margin_m, CheckSettings())

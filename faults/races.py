@@ -8,7 +8,7 @@ import time
 from functools import partial
 from random import Random
 
-from deltasafe.siblings import left_behind
+from deltasafe.io.temporary_files import left_behind
 from faults.killing import Writer, run_alone, start_alone
 from faults.reporting import conclude, parser, progress_every
 from faults.writers import prepared_writers

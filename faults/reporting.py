@@ -6,8 +6,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from deltasafe.progress import Progress
-from pipelines.records import merge_part
+from deltasafe.compute.progress import Progress
+from pipelines.commands.records import merge_part
 
 __all__ = ["conclude", "parser", "progress_every"]
 

@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from deltasafe.progress import Progress, silent
+from deltasafe.compute.progress import Progress, silent
 from faults.reporting import conclude, parser, progress_every
 
 __all__ = ["Usage", "growth", "main", "prepared_home", "soak"]
@@ -76,8 +76,8 @@ def prepared_home() -> Iterator[pathlib.Path]:
     from faults.ensemble import free_ensemble
     from faults.sets import tiny_hands
     from pipelines.home import prepare_home
-    from pipelines.io import FolderPointers
-    from pipelines.tracking import MlflowTracker
+    from pipelines.storage.io_manager import FolderPointers
+    from pipelines.tracking.tracker import MlflowTracker
 
     with tempfile.TemporaryDirectory(prefix="deltasafe-faults-") as name:
         os.environ["DELTASAFE_HOME"] = name

@@ -13,20 +13,20 @@ import torch
 
 from deltasafe.execution import Execution
 from deltasafe.interchange.executions import export_execution, import_execution
-from deltasafe.perception.artifact import freeze_ensemble, verify_artifact
-from deltasafe.perception.augmented_set import AugmentedSet
-from deltasafe.perception.calibration_report import CalibrationReport, CalibrationSettings
-from deltasafe.perception.calibration_writing import write_calibration_report
-from deltasafe.perception.evaluation import calibrate
-from deltasafe.perception.member import Member
+from deltasafe.perception.artifact.frozen_ensemble import freeze_ensemble, verify_artifact
+from deltasafe.perception.calibration.evaluation import evaluate
+from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
+from deltasafe.perception.calibration.write_report import write_calibration_report
+from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
-from deltasafe.perception.training import train_member
+from deltasafe.perception.training.member import Member
+from deltasafe.perception.training.train_member import train_member
 from deltasafe.planning import ToolBody
 from faults.ensemble import calibration_of_one, tiny_ensemble
 from faults.killing import Writer, import_beforehand, run_alone
 from faults.sets import tiny_hands, tiny_set
-from pipelines.registry import EnsembleRegistry
-from pipelines.tracking import MlflowTracker
+from pipelines.tracking.registry import EnsembleRegistry
+from pipelines.tracking.tracker import MlflowTracker
 
 __all__ = ["augmented_sets", "executions", "prepare", "prepared_writers", "writers"]
 
@@ -155,7 +155,7 @@ def _reports() -> Writer:
         np.clip(label / 255 * 0.8 + 0.1 + rng.normal(0, 0.05, (2, 48, 64)), 0.01, 0.99).astype(np.float32)
         for label in labels
     ]
-    made = calibrate([f"image_{n}" for n in range(4)], labels, guesses, CalibrationSettings(n_bootstrap=100))
+    made = evaluate([f"image_{n}" for n in range(4)], labels, guesses, CalibrationSettings(n_bootstrap=100))
 
     def write(home: pathlib.Path, number: int, say: Say) -> None:
         named = dataclasses.replace(made, image_ids=tuple(f"{number}_{n}" for n in range(4)))

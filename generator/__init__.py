@@ -9,15 +9,15 @@ from generator.drawing import draw_hand, draw_scene
 from generator.hand_sets import make_hands
 from generator.scenes import make_scenes
 from generator.settings import TEST_LIKE, TRAIN_LIKE, HandSetSettings, SceneSettings
-from generator.surroundings import Surroundings
+from generator.surroundings import CollisionArrays
 from generator.surroundings.fetch import fetch
 
 __all__ = [
     "TEST_LIKE",
     "TRAIN_LIKE",
+    "CollisionArrays",
     "HandSetSettings",
     "SceneSettings",
-    "Surroundings",
     "draw_hand",
     "draw_scene",
     "fetch",

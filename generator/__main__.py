@@ -9,9 +9,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from deltasafe.compute.progress import Progress
 from deltasafe.errors import DeltasafeError
-from deltasafe.progress import Progress
-from generator import TEST_LIKE, TRAIN_LIKE, SceneSettings, Surroundings, fetch, make_hands, make_scenes
+from generator import TEST_LIKE, TRAIN_LIKE, CollisionArrays, SceneSettings, fetch, make_hands, make_scenes
 from generator.backend import VARIANTS
 from generator.extraction import extract_arm
 from generator.pose import POSES
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             same = extract_arm(parsed.wheel, parsed.out)
             print(f"{parsed.out}: {'equals' if same else 'differs from'} the packaged arm model")
             return 0 if same else 1
-        surroundings = Surroundings.find(parsed.surroundings)
+        surroundings = CollisionArrays.find(parsed.surroundings)
         if not surroundings.map_files:
             print(f"Nothing is fetched in {parsed.surroundings}: light and surfaces are procedural.", flush=True)
         if parsed.command == "hands":

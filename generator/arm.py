@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
-from deltasafe.storage import sha256_of_file
+from deltasafe.io.storage import sha256_of_file
 from generator.surface_mesh import Refinement, catmull_clark
 
 __all__ = ["ARM_SHA256", "ArmModel"]

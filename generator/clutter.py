@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from generator.recipe import Ground
 from generator.skin.palette import linear
 from generator.stage import Ball, Box, Cylinder, Disk, Material, Shape
-from generator.surroundings import Surroundings
+from generator.surroundings import CollisionArrays
 
 __all__ = ["scatter_clutter"]
 
@@ -18,7 +18,7 @@ AWAY_FROM_HAND_M = 0.055
 TRIALS = 30
 
 
-def scatter_clutter(ground: Ground, surroundings: Surroundings, hand_m: Array) -> list[Shape]:
+def scatter_clutter(ground: Ground, surroundings: CollisionArrays, hand_m: Array) -> list[Shape]:
     """Up to ``ground.clutter`` things, apart from the hand (N, 3) as seen from above; fewer if there is no room."""
     rng = np.random.default_rng(ground.clutter_seed)
     shapes: list[Shape] = []
@@ -31,7 +31,7 @@ def scatter_clutter(ground: Ground, surroundings: Surroundings, hand_m: Array) -
     return shapes
 
 
-def _material(surroundings: Surroundings, rng: np.random.Generator) -> Material:
+def _material(surroundings: CollisionArrays, rng: np.random.Generator) -> Material:
     colour = tuple(np.clip(linear(rng.integers(10, 250, 3)), 0.01, 0.9).tolist())
     if rng.random() < 0.45:
         texture = surroundings.surface(str(rng.choice(surroundings.surface_names)), colour, int(rng.integers(1 << 20)))
@@ -39,7 +39,7 @@ def _material(surroundings: Surroundings, rng: np.random.Generator) -> Material:
     return Material(colour=colour, roughness=float(rng.uniform(0.15, 0.8)), specular=0.5)
 
 
-def _thing(kind: str, x: float, y: float, surroundings: Surroundings, rng: np.random.Generator) -> list[Shape]:
+def _thing(kind: str, x: float, y: float, surroundings: CollisionArrays, rng: np.random.Generator) -> list[Shape]:
     turn, material = float(rng.uniform(0, 360)), _material(surroundings, rng)
     match kind:
         case "box":

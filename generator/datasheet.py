@@ -6,7 +6,7 @@ import pathlib
 from collections.abc import Iterable
 from typing import Any
 
-from deltasafe.storage import atomic_file, read_json
+from deltasafe.io.storage import atomic_file, read_json
 from generator.settings import HandSetSettings, PictureSettings, SceneSettings
 from generator.surroundings.fetch import SOURCES
 

@@ -24,7 +24,7 @@ from generator.recipe import (
 from generator.settings import HandSetSettings, PictureSettings, SceneSettings
 from generator.skin.palette import linear
 from generator.surface_mesh import unit
-from generator.surroundings import Surroundings
+from generator.surroundings import CollisionArrays
 from generator.webcam import Webcam
 
 __all__ = ["draw_hand", "draw_scene"]
@@ -41,7 +41,7 @@ LAMPS: dict[str, tuple[float, float, Rgb]] = {
 }
 
 
-def draw_hand(settings: HandSetSettings, surroundings: Surroundings, index: int) -> Recipe:
+def draw_hand(settings: HandSetSettings, surroundings: CollisionArrays, index: int) -> Recipe:
     """Recipe of picture ``index`` of a set of hands."""
     rng = _streams(settings, index)
     shares = np.array(settings.shares) / sum(settings.shares)
@@ -74,7 +74,7 @@ def draw_hand(settings: HandSetSettings, surroundings: Surroundings, index: int)
     )
 
 
-def draw_scene(settings: SceneSettings, surroundings: Surroundings, index: int, attempt: int = 0) -> Recipe:
+def draw_scene(settings: SceneSettings, surroundings: CollisionArrays, index: int, attempt: int = 0) -> Recipe:
     """Recipe of scene ``index``; a scene without room for start and goal is drawn again as the next ``attempt``."""
     rng = _streams(settings, index, attempt)
     pose = draw_pose(rng["pose"], settings.poses)
@@ -171,7 +171,7 @@ def _plain_light(rng: np.random.Generator) -> Light:
     return Light(None, 0, 0.0, 0.42, lamp, (0.95, 1.0, 1.07))
 
 
-def _light(rng: np.random.Generator, surroundings: Surroundings, place: str) -> Light:
+def _light(rng: np.random.Generator, surroundings: CollisionArrays, place: str) -> Light:
     in_air = place in ("room", "wall")
     names = surroundings.unseen_map_names if in_air else surroundings.map_names
     half_m, strength, colour = LAMPS[str(rng.choice(list(LAMPS)))]
@@ -186,7 +186,7 @@ def _light(rng: np.random.Generator, surroundings: Surroundings, place: str) -> 
     return Light(str(rng.choice(names)), int(rng.integers(1 << 20)), float(rng.uniform(0, 360)), float(level), lamp)
 
 
-def _ground(rng: np.random.Generator, surroundings: Surroundings, plain: bool, clutter: int) -> Ground:
+def _ground(rng: np.random.Generator, surroundings: CollisionArrays, plain: bool, clutter: int) -> Ground:
     seed = int(rng.integers(1 << 20))
     if plain:
         return Ground("procedural/plain", PLAIN_DESKS[int(rng.random() < 0.5)], seed)
@@ -205,7 +205,7 @@ def _ground(rng: np.random.Generator, surroundings: Surroundings, plain: bool, c
     )
 
 
-def _wall(rng: np.random.Generator, surroundings: Surroundings) -> Wall:
+def _wall(rng: np.random.Generator, surroundings: CollisionArrays) -> Wall:
     return Wall(
         surface=str(rng.choice(surroundings.surface_names)),
         colour=_colour(rng),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from deltasafe.errors import DataError
-from deltasafe.storage import atomic_file
+from deltasafe.io.storage import atomic_file
 from generator.arm import ARM_PATH
 
 __all__ = ["extract_arm"]

@@ -7,9 +7,9 @@ from typing import Any
 
 from PIL import Image
 
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError, SettingsError
-from deltasafe.progress import Progress, silent
-from deltasafe.storage import atomic_file, digest_of, read_json, sha256_of_file, write_json
+from deltasafe.io.storage import atomic_file, digest_of, read_json, sha256_of_file, write_json
 from generator.datasheet import write_hands_datasheet
 from generator.drawing import draw_hand
 from generator.mask import mask_of
@@ -17,7 +17,7 @@ from generator.recipe import Recipe
 from generator.render import Renderer
 from generator.settings import HandSetSettings, PictureSettings
 from generator.staging import place_hand, set_stage
-from generator.surroundings import Surroundings
+from generator.surroundings import CollisionArrays
 from generator.webcam import develop
 
 __all__ = ["keep_to_settings", "make_hands", "render_hand"]
@@ -27,7 +27,7 @@ def make_hands(
     folder: str | pathlib.Path,
     count: int,
     settings: HandSetSettings,
-    surroundings: Surroundings | None = None,
+    surroundings: CollisionArrays | None = None,
     progress: Progress = silent,
 ) -> pathlib.Path:
     """Fill ``folder`` with pictures 0 to ``count`` - 1: ``images/``, ``masks/``, ``recipes/``, datasheet and registry.
@@ -41,7 +41,7 @@ def make_hands(
     """
     if count < 1:
         raise SettingsError(f"count must be at least 1, got {count}")
-    folder, surroundings = pathlib.Path(folder), surroundings or Surroundings()
+    folder, surroundings = pathlib.Path(folder), surroundings or CollisionArrays()
     renderer = Renderer(settings.variant)
     keep_to_settings(folder, "hands", settings, surroundings)
     for index in range(count):
@@ -63,7 +63,7 @@ def make_hands(
 
 
 def render_hand(
-    renderer: Renderer, recipe: Recipe, surroundings: Surroundings, settings: PictureSettings
+    renderer: Renderer, recipe: Recipe, surroundings: CollisionArrays, settings: PictureSettings
 ) -> tuple[bytes, bytes]:
     """JPEG of the picture and PNG of its mask (255 = hand).
 
@@ -78,7 +78,7 @@ def render_hand(
     return develop(picture.radiance, picture.coverage, recipe.webcam), mask.getvalue()
 
 
-def keep_to_settings(folder: pathlib.Path, kind: str, settings: PictureSettings, surroundings: Surroundings) -> None:
+def keep_to_settings(folder: pathlib.Path, kind: str, settings: PictureSettings, surroundings: CollisionArrays) -> None:
     """Write down what a folder's pictures are made from, or compare with what is written there.
 
     Raises:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import SettingsError
-from deltasafe.progress import Progress, silent
+from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.scene import Camera, LoggedScene
-from deltasafe.storage import atomic_folder, write_json
 from generator.datasheet import write_scenes_datasheet
 from generator.drawing import draw_scene
 from generator.hand_sets import keep_to_settings, render_hand
@@ -19,7 +19,7 @@ from generator.recipe import Recipe
 from generator.render import Renderer
 from generator.settings import SceneSettings
 from generator.staging import PlacedHand, place_hand, view_of
-from generator.surroundings import Surroundings
+from generator.surroundings import CollisionArrays
 
 __all__ = ["free_place", "hand_height_m", "make_scenes", "plan_scene"]
 
@@ -44,7 +44,7 @@ def make_scenes(
     folder: str | pathlib.Path,
     count: int,
     settings: SceneSettings,
-    surroundings: Surroundings | None = None,
+    surroundings: CollisionArrays | None = None,
     progress: Progress = silent,
 ) -> pathlib.Path:
     """Fill ``folder`` with ``scene_000`` to ``scene_<count - 1>``, each written whole or not at all.
@@ -57,7 +57,7 @@ def make_scenes(
     """
     if count < 1:
         raise SettingsError(f"count must be at least 1, got {count}")
-    folder, surroundings = pathlib.Path(folder), surroundings or Surroundings()
+    folder, surroundings = pathlib.Path(folder), surroundings or CollisionArrays()
     renderer = Renderer(settings.variant)
     keep_to_settings(folder, "scenes", settings, surroundings)
     for index in range(count):
@@ -80,7 +80,7 @@ def make_scenes(
     return folder
 
 
-def plan_scene(settings: SceneSettings, surroundings: Surroundings, index: int) -> _Plan:
+def plan_scene(settings: SceneSettings, surroundings: CollisionArrays, index: int) -> _Plan:
     """Recipe, hand, camera and task of scene ``index``: the first of its drawings that leaves room for start and goal.
 
     Raises:

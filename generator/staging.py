@@ -28,7 +28,7 @@ from generator.stage import (
     camera_looking_at,
 )
 from generator.surface_mesh import closed_triangles, vertex_normals
-from generator.surroundings import Surroundings
+from generator.surroundings import CollisionArrays
 
 __all__ = ["PlacedHand", "place_hand", "set_stage", "view_of"]
 
@@ -116,7 +116,7 @@ def view_of(recipe: Recipe, hand: PlacedHand, width: int, height: int) -> Camera
     return _orbiting(view, middle + view.aim_m, distance, isinstance(recipe.placement, InAir), width, height)
 
 
-def set_stage(recipe: Recipe, surroundings: Surroundings, hand: PlacedHand, width: int, height: int) -> Stage:
+def set_stage(recipe: Recipe, surroundings: CollisionArrays, hand: PlacedHand, width: int, height: int) -> Stage:
     """All that the picture shows.
 
     Raises:
@@ -189,7 +189,7 @@ def _sleeves(recipe: Recipe, hand: PlacedHand) -> tuple[Cloth, ...]:
     return (Cloth(hand.to_world(points), hand.facing(quads), cloth),)
 
 
-def _table(ground: Ground, surroundings: Surroundings) -> Panel:
+def _table(ground: Ground, surroundings: CollisionArrays) -> Panel:
     material = Material(
         texture=surroundings.surface(ground.surface, ground.colour, ground.seed),
         tiles=TABLE_SIDE_M * ground.repeats_per_m,
@@ -201,7 +201,7 @@ def _table(ground: Ground, surroundings: Surroundings) -> Panel:
     return Panel((0.0, 0.0, 0.0), TABLE_SIDE_M / 2, False, 0.0, material)
 
 
-def _wall(wall: Wall, surroundings: Surroundings) -> Panel:
+def _wall(wall: Wall, surroundings: CollisionArrays) -> Panel:
     material = Material(
         texture=surroundings.surface(wall.surface, wall.colour, wall.seed),
         tiles=wall.repeats,
@@ -220,7 +220,7 @@ def _rod(held: Held, hand: PlacedHand) -> Cylinder:
     return Cylinder(tuple(start), tuple(end), held.radius_m, material)
 
 
-def _environment(light: Light, surroundings: Surroundings) -> Environment:
+def _environment(light: Light, surroundings: CollisionArrays) -> Environment:
     if light.map is None:
         return Environment(np.full((4, 8, 3), np.array(light.colour) * light.level, dtype=np.float32))
     radiance = surroundings.map(light.map, light.map_seed)

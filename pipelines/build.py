@@ -9,19 +9,19 @@ import dagster as dg
 import assets.checks
 import assets.motion
 import assets.perception
+import assets.perception_study
 import assets.planner_study
 import assets.safety_study
 import assets.single_scene
-import assets.study
 import assets.tracking_study
 from pipelines import jobs
-from pipelines.console import progress_console
-from pipelines.engines import EngineResource, steps_on_ray
+from pipelines.automation.sensors import all_sensors
+from pipelines.commands.console import progress_console
+from pipelines.executors import ExecutorResource, steps_on_ray
 from pipelines.home import DATASETS, home
-from pipelines.io import FolderPointers
-from pipelines.machines import with_machine
 from pipelines.resources import RegistryResource, StoreResource, TrackerResource
-from pipelines.sensors import all_sensors
+from pipelines.run_owner import with_machine
+from pipelines.storage.io_manager import FolderPointers
 
 __all__ = ["build_defs"]
 
@@ -40,7 +40,7 @@ def build_defs(
         max_concurrent: steps that run side by side.
 
     Raises:
-        SettingsError: the environment asks for an engine that there is not.
+        SettingsError: the environment asks for an executor that there is not.
     """
     root = root or home()
     resources: dict[str, Any] = {
@@ -48,7 +48,7 @@ def build_defs(
         "store": StoreResource(home=str(root), datasets=str(DATASETS)),
         "tracker": TrackerResource(home=str(root)),
         "registry": RegistryResource(home=str(root)),
-        "engine": EngineResource.chosen(),
+        "executor": ExecutorResource.chosen(),
     }
     executor = steps_on_ray() or dg.multiprocess_executor.configured(
         {"max_concurrent": max_concurrent, "start_method": {"forkserver": {"preload_modules": _PRELOADED}}}
@@ -59,7 +59,7 @@ def build_defs(
                 assets.perception,
                 assets.motion,
                 assets.single_scene,
-                assets.study,
+                assets.perception_study,
                 assets.planner_study,
                 assets.safety_study,
                 assets.tracking_study,

@@ -9,9 +9,9 @@ import os
 import pathlib
 
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.io.storage import atomic_file
+from deltasafe.io.write_errors import naming
 from deltasafe.presets import VARIABLE
-from deltasafe.storage import atomic_file
-from deltasafe.unwritable import naming
 
 __all__ = [
     "DATABASE_VARIABLE",

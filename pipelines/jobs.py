@@ -5,9 +5,9 @@ import os
 import dagster as dg
 
 from assets.perception import members
-from assets.study import cells
+from assets.perception_study import cells
 from pipelines.home import home
-from pipelines.watching import watched_hands
+from pipelines.watched_folders import watched_hands
 
 __all__ = [
     "ALL_CELLS",
@@ -42,7 +42,7 @@ ALL_CELLS = _whole_range(cells)
 perception = dg.define_asset_job(
     "perception",
     dg.AssetSelection.groups("perception"),
-    description="From the labelled images to the frozen, registered ensemble.",
+    description="From the labeled images to the frozen, registered ensemble.",
     tags=ALL_MEMBERS,
 )
 

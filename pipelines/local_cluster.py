@@ -118,7 +118,7 @@ class LocalCluster:
         return False
 
     def at_work(self) -> list[int]:
-        """Processes on the hosts that do a task of `deltasafe.ray_engine` just now."""
+        """Processes on the hosts that do a task of `deltasafe.compute.ray_executor` just now."""
         found = []
         for pid in [pid for _, worker in self._hosts for pid in _descendants(worker.pid)]:
             with contextlib.suppress(OSError):

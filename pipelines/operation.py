@@ -16,17 +16,17 @@ from xml.etree import ElementTree
 
 from deltasafe.errors import DataError, DeltasafeError
 from deltasafe.presets import VARIABLE
+from pipelines.commands.records import merge_part
 from pipelines.home import PROJECT, prepare_home
-from pipelines.records import merge_part
 
 __all__ = ["TESTS", "main", "passed"]
 
 TESTS = {
     "sensor_to_challenger_passed": "tests/pipelines/test_unattended.py::"
     "test_a_changed_image_becomes_a_new_challenger_and_what_follows_is_made_again",
-    "worse_ensemble_refused": "tests/pipelines/test_registry.py::"
+    "worse_ensemble_refused": "tests/pipelines/tracking/test_registry.py::"
     "test_a_worse_ensemble_is_refused_another_promoted_and_taken_back_by_one_command",
-    "rollback_passed": "tests/pipelines/test_registry.py::"
+    "rollback_passed": "tests/pipelines/tracking/test_registry.py::"
     "test_a_worse_ensemble_is_refused_another_promoted_and_taken_back_by_one_command",
 }
 """Figures, and the test that has to pass for each."""
@@ -59,7 +59,7 @@ def _share(run_id: str, destination: pathlib.Path | None) -> int:
 
     import dagster as dg
 
-    from pipelines.orchestration import times_of_run
+    from pipelines.commands.orchestration import times_of_run
 
     with dg.DagsterInstance.get() as instance:
         whole = dg.RunsFilter(job_name="everything", statuses=[dg.DagsterRunStatus.SUCCESS])

@@ -6,11 +6,11 @@ import pathlib
 import dagster as dg
 
 from assets.interfaces import Store
+from pipelines.automation.launch_check import wrong_settings
 from pipelines.home import run_page
-from pipelines.launch_check import wrong_settings
-from pipelines.places import places_of
-from pipelines.registry import EnsembleRegistry
-from pipelines.tracking import MlflowTracker
+from pipelines.storage.artifact_store import places_of
+from pipelines.tracking.registry import EnsembleRegistry
+from pipelines.tracking.tracker import MlflowTracker
 
 __all__ = ["RegistryResource", "StoreResource", "TrackerResource"]
 

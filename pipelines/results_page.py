@@ -10,7 +10,7 @@ import pathlib
 import sys
 from typing import Any
 
-from deltasafe.storage import atomic_file, read_json
+from deltasafe.io.storage import atomic_file, read_json
 from pipelines.home import PROJECT
 
 __all__ = ["LINES", "Line", "main", "results_page"]
@@ -126,7 +126,7 @@ LINES: dict[str, tuple[Line, ...]] = {
         Line("reliability", "property_scenes", "random planner scenes", "g", 10_000),
         Line("reliability", "property_failures", "properties that did not hold", "g", at_most=0),
         Line("reliability", "pickles_loaded", "pickles loaded, numba's cache apart", "g", at_most=0),
-        Line("reliability", "soak_materialisations", "materialisations in one process", "g", 200),
+        Line("reliability", "soak_materializations", "materializations in one process", "g", 200),
         Line("reliability", "soak_growth", "by which its memory grew, as a fraction", ".3f", at_most=0.05),
         Line("reliability", "soak_handles_growth", "open files and threads more at the end", "g", at_most=0),
         Line("reliability", "dependencies_unpinned", "installed packages that are not pinned", "g", at_most=0),

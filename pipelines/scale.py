@@ -18,14 +18,14 @@ import tempfile
 import time
 from collections.abc import Sequence
 
-from deltasafe.engine import LOCAL, Engine
+from deltasafe.compute.executor import LOCAL, Executor
+from deltasafe.compute.progress import Progress, silent
+from deltasafe.compute.ray_executor import RayExecutor, RaySettings
 from deltasafe.errors import DeltasafeError
-from deltasafe.planner_study import ComparisonSettings, compare, contenders
+from deltasafe.io.storage import digest_of, read_json, write_json
 from deltasafe.presets import VARIABLE
-from deltasafe.progress import Progress, silent
-from deltasafe.ray_engine import RayEngine, RaySettings
-from deltasafe.storage import digest_of, read_json, write_json
-from pipelines.engines import ADDRESS, ENGINE, STEPS
+from deltasafe.studies.planner import ComparisonSettings, compare, contenders
+from pipelines.executors import ADDRESS, EXECUTOR, STEPS
 from pipelines.home import PROJECT, set_quiet_environment
 from pipelines.local_cluster import LocalCluster, apart
 from pipelines.scale_evidence import augmentation_costs, both_ran, chain_digests, megabytes, study_digest
@@ -78,7 +78,7 @@ def _measured(options: argparse.Namespace) -> dict[str, float]:
     figures: dict[str, float] = {"workers": _HOSTS}
     same: list[bool] = []
     jobs = "concurrent" in options.parts or ("chain" in options.parts and options.steps == "ray")
-    disconnect = RayEngine().disconnect
+    disconnect = RayExecutor().disconnect
     with (
         tempfile.TemporaryDirectory(prefix="deltasafe-scale-") as name,
         LocalCluster(jobs) as cluster,
@@ -119,14 +119,14 @@ def _costs() -> dict[str, float]:
 
 
 def _study(settings: ComparisonSettings, folder: pathlib.Path, cluster: LocalCluster) -> tuple[dict[str, float], bool]:
-    engine = RayEngine(RaySettings(cluster.address))
+    executor = RayExecutor(RaySettings(cluster.address))
     here, _ = _timed("here", settings, folder, LOCAL)
-    _warm(settings, folder / "warm-1", engine)
-    one, alone_s = _timed("one host", settings, folder, engine)
+    _warm(settings, folder / "warm-1", executor)
+    one, alone_s = _timed("one host", settings, folder, executor)
     cluster.add_host()
-    _wait_for_hosts(engine)
-    _warm(settings, folder / "warm-2", engine)
-    two, together_s = _timed("two hosts", settings, folder, engine)
+    _wait_for_hosts(executor)
+    _warm(settings, folder / "warm-2", executor)
+    two, together_s = _timed("two hosts", settings, folder, executor)
     print(f"  speed-up of two hosts over one: {alone_s / together_s:.2f}", flush=True)
     figures = {
         "plans": _plans(settings),
@@ -139,7 +139,7 @@ def _study(settings: ComparisonSettings, folder: pathlib.Path, cluster: LocalClu
 
 def _killed(settings: ComparisonSettings, folder: pathlib.Path, cluster: LocalCluster) -> bool:
     """A process of a task in the first third of the study, and all processes of a host after the half."""
-    engine, left = RayEngine(RaySettings(cluster.address)), ["a process", "a host"]
+    executor, left = RayExecutor(RaySettings(cluster.address)), ["a process", "a host"]
 
     def strike(done: int, total: int, message: str) -> None:
         if "a process" in left and 0 < done < total / 2 and cluster.kill_a_worker():
@@ -149,16 +149,16 @@ def _killed(settings: ComparisonSettings, folder: pathlib.Path, cluster: LocalCl
             left.remove("a host")
             print(f"  a host was killed after {done} of {total} batches", flush=True)
 
-    digest, _ = _timed("killed", settings, folder, engine, strike)
+    digest, _ = _timed("killed", settings, folder, executor, strike)
     here, _ = _timed("here", settings, folder, LOCAL)  # is found
     return digest == here and not left
 
 
 def _timed(
-    name: str, settings: ComparisonSettings, folder: pathlib.Path, engine: Engine, progress: Progress = silent
+    name: str, settings: ComparisonSettings, folder: pathlib.Path, executor: Executor, progress: Progress = silent
 ) -> tuple[str, float]:
     began_s = time.monotonic()
-    digest = study_digest(compare(settings, folder / name.replace(" ", "-"), 1, progress, engine))
+    digest = study_digest(compare(settings, folder / name.replace(" ", "-"), 1, progress, executor))
     took_s = time.monotonic() - began_s
     print(f"  {_plans(settings)} plans, {name}: {took_s:.1f} s, digest {digest[:16]}", flush=True)
     return digest, took_s
@@ -169,22 +169,22 @@ def _plans(settings: ComparisonSettings) -> int:
     return 2 * settings.n_levels * per_level
 
 
-def _warm(settings: ComparisonSettings, folder: pathlib.Path, engine: Engine) -> None:
+def _warm(settings: ComparisonSettings, folder: pathlib.Path, executor: Executor) -> None:
     """Every worker has loaded and compiled what it needs."""
     few = dataclasses.replace(settings, n_levels=2 * _HOSTS, n_runs=2, n_runs_beside=2, n_iterations=50)
-    compare(few, folder, 1, silent, engine)
+    compare(few, folder, 1, silent, executor)
 
 
-def _wait_for_hosts(engine: RayEngine) -> None:
+def _wait_for_hosts(executor: RayExecutor) -> None:
     until_s = time.monotonic() + _PATIENCE_S
-    while engine.width(1) < _HOSTS and time.monotonic() < until_s:
+    while executor.width(1) < _HOSTS and time.monotonic() < until_s:
         time.sleep(0.2)
 
 
 def _driver(cluster: LocalCluster) -> bool:
     program = (
-        "import time; from deltasafe.engine import Task; from deltasafe.ray_engine import RayEngine, RaySettings; "
-        f"list(RayEngine(RaySettings('{cluster.address}')).run([Task('sleep', time.sleep, (3600.0,))], 1))"
+        "import time; from deltasafe.compute.executor import Task; from deltasafe.compute.ray_executor import RayExecutor, RaySettings; "
+        f"list(RayExecutor(RaySettings('{cluster.address}')).run([Task('sleep', time.sleep, (3600.0,))], 1))"
     )
     driver = subprocess.Popen([sys.executable, "-c", program], cwd=PROJECT)
     until_s = time.monotonic() + _PATIENCE_S
@@ -199,7 +199,7 @@ def _driver(cluster: LocalCluster) -> bool:
 
 
 def _on_the_cluster(cluster: LocalCluster, home: pathlib.Path) -> dict[str, str]:
-    chosen = {ENGINE: "ray", ADDRESS: cluster.address, STEPS: "ray"}
+    chosen = {EXECUTOR: "ray", ADDRESS: cluster.address, STEPS: "ray"}
     return {**os.environ, **chosen, "DELTASAFE_HOME": str(home)}
 
 
@@ -235,7 +235,11 @@ def _chain(folder: pathlib.Path, cluster: LocalCluster, steps: str) -> tuple[dic
         environment = _on_the_cluster(cluster, home) | {STEPS: steps} if name == "cluster" else alone
         began_s = time.monotonic()
         said = subprocess.run(
-            [sys.executable, "-m", "pipelines.demo"], cwd=PROJECT, env=environment, stderr=subprocess.PIPE, check=False
+            [sys.executable, "-m", "pipelines.commands.demo"],
+            cwd=PROJECT,
+            env=environment,
+            stderr=subprocess.PIPE,
+            check=False,
         )
         if said.returncode:
             sys.stderr.write(said.stderr.decode(errors="replace")[-4000:])
@@ -251,7 +255,7 @@ def _chain(folder: pathlib.Path, cluster: LocalCluster, steps: str) -> tuple[dic
 
 def _record(options: argparse.Namespace, figures: dict[str, float]) -> None:
     """Parts may be measured one by one; all of them together replace whatever was recorded."""
-    from pipelines.records import merge_part
+    from pipelines.commands.records import merge_part
 
     whole = set(options.parts) == set(PARTS)
     if whole:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deltasafe.planner_study import Comparison
-from deltasafe.storage import digest_of
+from deltasafe.io.storage import digest_of
+from deltasafe.studies.planner import Comparison
 
 if TYPE_CHECKING:
     import dagster as dg
@@ -39,11 +39,11 @@ def chain_digests(home: pathlib.Path) -> dict[str, str]:
     import dagster as dg
 
     from assets.perception import members
-    from deltasafe.perception.augmented_set import AugmentedSet
-    from deltasafe.perception.member import Member
+    from deltasafe.perception.data.augmented_set import AugmentedSet
+    from deltasafe.perception.training.member import Member
     from deltasafe.trials.executions import load_execution, load_outcomes
     from deltasafe.trials.motions import load_motion
-    from pipelines.io import FolderPointers
+    from pipelines.storage.io_manager import FolderPointers
 
     folder = FolderPointers(home=str(home)).folder
 
@@ -69,12 +69,12 @@ def chain_digests(home: pathlib.Path) -> dict[str, str]:
 
 def augmentation_costs(folder: pathlib.Path) -> dict[str, float]:
     """CPU seconds, and megabytes on disk, that one more augmented image takes in two presets; of three originals."""
-    from deltasafe.perception.augmented_set import write_augmented_set
-    from deltasafe.perception.hands import HandSet
+    from deltasafe.perception.data.augmented_set import write_augmented_set
+    from deltasafe.perception.data.labeled_images import LabeledImageSet
     from deltasafe.presets import PRESETS
     from pipelines.home import DATASETS
 
-    hands = HandSet.load(DATASETS / "hands" / "train")
+    hands = LabeledImageSet.load(DATASETS / "hands" / "train")
     few, found = dataclasses.replace(hands, items=hands.items[:3], pixel_digests=hands.pixel_digests[:3]), {}
     for name in ("default", "paper"):
         took = []
@@ -97,9 +97,9 @@ def run_study(first_seed: int) -> int:
     """One run of the job `planner_study` in the home that the environment names; 0 if it succeeded."""
     import dagster as dg
 
+    from pipelines.commands.planner_study import planner_study
+    from pipelines.commands.run_job import succeeded
     from pipelines.home import prepare_home
-    from pipelines.planner_study import planner_study
-    from pipelines.running import succeeded
 
     prepare_home()
     steps = {name: {"study": {"first_seed": first_seed}} for name in ("planner_costs", "planner_times")}
@@ -107,7 +107,7 @@ def run_study(first_seed: int) -> int:
 
 
 def both_ran(home: pathlib.Path) -> Evidence:
-    """Two runs of the planner study: at the same time, each with its own steps, batches and materialisations."""
+    """Two runs of the planner study: at the same time, each with its own steps, batches and materializations."""
     import dagster as dg
 
     lines, spans, jobs, made = [], [], set(), []
@@ -128,7 +128,7 @@ def both_ran(home: pathlib.Path) -> Evidence:
             }
             lines.append(
                 f"run {run.run_id[:8]}: {run.status.value}, {len(worked)} steps, {len(submitted)} jobs of the cluster, "
-                f"materialised {', '.join(sorted(assets))}"
+                f"materialized {', '.join(sorted(assets))}"
             )
             lines += [f"{event.step_key}: {_reason(event)}" for event in events if event.is_step_failure]
             made.append(run.is_success and worked == assets == _ASSETS and len(submitted) == len(_ASSETS))

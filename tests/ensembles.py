@@ -1,4 +1,4 @@
-"""Frozen ensembles that are as good or bad as a test wants, and labelled images to judge them on; no training."""
+"""Frozen ensembles that are as good or bad as a test wants, and labeled images to judge them on; no training."""
 
 import dataclasses
 import pathlib
@@ -6,11 +6,11 @@ import pathlib
 import cv2
 import numpy as np
 
-from deltasafe.perception.artifact import freeze_ensemble
-from deltasafe.perception.calibration import Calibration
-from deltasafe.perception.member import Member
-from deltasafe.perception.network import build_network
+from deltasafe.perception.artifact.frozen_ensemble import freeze_ensemble
+from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
+from deltasafe.perception.training.member import Member
+from deltasafe.perception.training.network import build_network
 
 CALIBRATION = Calibration(
     n_images=4,

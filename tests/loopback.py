@@ -36,7 +36,7 @@ def serve(home, preset, log):
     environment = {name: value for name, value in os.environ.items() if name not in elsewhere}
     environment |= {"DELTASAFE_HOME": str(home), "DELTASAFE_PRESET": preset}
     dagster, mlflow = map(str, ports)
-    command = [sys.executable, "-m", "pipelines.ui", "--port", dagster, "--mlflow-port", mlflow]
+    command = [sys.executable, "-m", "pipelines.commands.ui", "--port", dagster, "--mlflow-port", mlflow]
     with log.open("w") as opened:
         process = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=opened, stderr=opened)
     try:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.planner.problems import Problem
-from deltasafe.compiling import kernel
+from deltasafe.compute.numba_cache import kernel
 from deltasafe.planning import answers_segments, segment_is_safe
 
 __all__ = ["segments_asked"]

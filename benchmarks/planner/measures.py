@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from benchmarks.planner.asking import segments_asked
 from benchmarks.planner.ompl import harness, wheel
 from benchmarks.planner.problems import DELTA, DELTA_P_M, MARGIN_M, Problem
-from deltasafe.planner_study.scenes import EllipticDisc, crowded_scene
 from deltasafe.planning import is_segment_safe
-from deltasafe.planning.yaw_certificate import yaw_certificate
+from deltasafe.planning.collision.yaw_clearance_table import yaw_clearance_table
+from deltasafe.studies.planner.scenes import EllipticDisc, crowded_scene
 from deltasafe.trials.audit import audit_path
 
 __all__ = [
@@ -221,7 +221,7 @@ def yaw_certificate_ms(problem: Problem, repeats: int) -> float:
     for _ in range(repeats + 1):
         problem.field.kept.clear()
         began = time.thread_time()
-        yaw_certificate(problem.field, EllipticDisc(), MARGIN_M + DELTA_P_M / 2)
+        yaw_clearance_table(problem.field, EllipticDisc(), MARGIN_M + DELTA_P_M / 2)
         taken.append(1e3 * (time.thread_time() - began))
     return statistics.median(taken[1:])
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.planner.problems import COST, GOAL_BIAS, STEERING_M, Problem
-from deltasafe.planner_study.scenes import GOAL, HIGHEST_POSE, LOWEST_POSE, START
-from deltasafe.planning.constraint import ask_segment
+from deltasafe.planning.collision.segment_query import ask_segment
+from deltasafe.studies.planner.scenes import GOAL, HIGHEST_POSE, LOWEST_POSE, START
 
 __all__ = ["REWIRE_FACTOR", "compiled_harness", "harness", "has_wheel", "wheel"]
 

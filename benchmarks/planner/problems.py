@@ -9,7 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.planner_study.scenes import (
+from deltasafe.planning import (
+    CheckSettings,
+    DistanceField,
+    RrtStar,
+    SegmentTest,
+    line_cost,
+    path_cost,
+    refine_path,
+    segment_test,
+)
+from deltasafe.planning.collision.clearance_tables import UNIT_M
+from deltasafe.planning.collision.scenario_samples import POOL_SIZE
+from deltasafe.planning.collision.stepwise import SampledTest
+from deltasafe.scene import grid_from_shapes
+from deltasafe.studies.planner.scenes import (
     GOAL,
     HIGHEST_POSE,
     LOWEST_POSE,
@@ -21,20 +35,6 @@ from deltasafe.planner_study.scenes import (
     crowded_scene,
     simple_scene,
 )
-from deltasafe.planning import (
-    CheckSettings,
-    RrtStar,
-    SafetyField,
-    SegmentTest,
-    line_cost,
-    path_cost,
-    refine_path,
-    segment_test,
-)
-from deltasafe.planning.certificates import UNIT_M
-from deltasafe.planning.scenarios import POOL_SIZE
-from deltasafe.planning.stepwise import SampledTest
-from deltasafe.scene import grid_from_shapes
 
 __all__ = ["DELTA_P_M", "MARGIN_M", "STEERING_M", "Problem", "problems", "write_problem"]
 
@@ -56,9 +56,9 @@ class Problem:
     scene: StudyScene
 
     @functools.cached_property
-    def field(self) -> SafetyField:
+    def field(self) -> DistanceField:
         """{p_occupied > 0.05} of a linear decay over 2 cm."""
-        return SafetyField.build(grid_from_shapes(self.scene.shapes, DECAY_M, *WORKSPACE_M, 0.005), DELTA)
+        return DistanceField.build(grid_from_shapes(self.scene.shapes, DECAY_M, *WORKSPACE_M, 0.005), DELTA)
 
     def test(self, method: str, n_samples: int = 100, seed: int = 0, by_yaw: bool = True) -> SegmentTest:
         """Test of segments of the study's disc."""

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from deltasafe.planning import MotionSettings, SafetyField, plan, schedule
+from deltasafe.planning import DistanceField, MotionSettings, plan, schedule
 from deltasafe.scene import grid_from_image, load_scenes
 
 __all__ = ["scene_times"]
@@ -28,7 +28,7 @@ def scene_times(repeats: int, n_scenes: int = 5, scenes: str | pathlib.Path = "d
             clock = [time.thread_time()]
             grid = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m)
             clock.append(time.thread_time())
-            field = SafetyField.build(grid, settings.delta)
+            field = DistanceField.build(grid, settings.delta)
             clock.append(time.thread_time())
             result = plan(scene.start, scene.goal, field, settings, turn)
             clock.append(time.thread_time())

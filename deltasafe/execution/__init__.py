@@ -9,9 +9,9 @@ from deltasafe.execution.impedance import ImpedanceSettings, TaskReference, impe
 from deltasafe.execution.kinematics import IIWA14_LIMITS, ArmMount, IiwaKinematics, JointLimits
 from deltasafe.execution.monitor import CameraWatch
 from deltasafe.execution.recording import PHASES, Execution
-from deltasafe.execution.safety import SafetyVerdict, SpeedBin, body_points, judge
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.execution.simulate import execute, iiwa_for
+from deltasafe.execution.verdict import SafetyVerdict, SpeedBin, body_points, judge
 
 __all__ = [
     "IIWA14_LIMITS",

@@ -19,7 +19,7 @@ class ArmState:
 
     Attributes:
         joint_positions_rad, joint_velocities_radps: (n,).
-        tool_position_m: (3,) centre of the disc.
+        tool_position_m: (3,) center of the disc.
         tool_quaternion: (4,) x, y, z, w; rotates the tool's frame (z along the shaft, upward) into the world's.
     """
 

@@ -1,4 +1,4 @@
-"""Distance from the tool to a triangle mesh, exact to a tenth of a millimetre, and from points to the mesh.
+"""Distance from the tool to a triangle mesh, exact to a tenth of a millimeter, and from points to the mesh.
 
 The tool is two convex solids, an elliptic and a circular cylinder, and so is each triangle. Whatever triangle a
 bounding sphere cannot rule out is met by alternating projections between the two convex sets (Cheney and Goldstein
@@ -51,17 +51,17 @@ class MeshDistance:
         block = np.floor(middles / (_CELLS_IN_BLOCK * _CELL_M))
         keys, cell = np.unique(np.hstack([block, np.floor(middles / _CELL_M)]), axis=0, return_inverse=True)
         corners = np.ascontiguousarray(corners[np.argsort(cell.ravel(), kind="stable")])
-        centres = corners.mean(axis=1)
-        radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+        centers = corners.mean(axis=1)
+        radii = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
         starts = np.concatenate([[0], np.cumsum(np.bincount(cell.ravel()))])
         _, cells_of_block = np.unique(keys[:, :3], axis=0, return_counts=True)
         cells = np.concatenate([[0], np.cumsum(cells_of_block)])
-        self._mesh = (corners, centres, radii, starts, *_spheres(corners, starts), cells)
+        self._mesh = (corners, centers, radii, starts, *_spheres(corners, starts), cells)
         self._blocks = _spheres(corners, starts[cells])
         self._lowest, self._highest = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
     def to_points(self, points_m: Array, at_most_m: float = math.inf) -> float:
-        """Distance in metres from the nearest of (P, 3) points to the mesh; infinite without points.
+        """Distance in meters from the nearest of (P, 3) points to the mesh; infinite without points.
 
         Args:
             at_most_m: what it surely does not exceed; nothing farther away is looked at.
@@ -71,11 +71,11 @@ class MeshDistance:
         return float(_points_distance(points, *box, *self._mesh, *self._blocks, at_most_m))
 
     def to_tool(self, body: ToolBody, position_m: Array, rotation: Array, at_most_m: float = math.inf) -> float:
-        """Distance in metres from the tool at a pose to the mesh's surface, 0 where they touch or cross.
+        """Distance in meters from the tool at a pose to the mesh's surface, 0 where they touch or cross.
 
         Args:
             body: the tool.
-            position_m: (3,) centre of the disc.
+            position_m: (3,) center of the disc.
             rotation: (3, 3) world from tool.
             at_most_m: what it surely does not exceed; nothing farther away is looked at.
         """
@@ -88,7 +88,7 @@ class MeshDistance:
 
 
 def _spheres(corners: Array, starts: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Centres (n, 3) and radii (n,) of spheres around triangles ``starts[n]`` up to ``starts[n + 1]``."""
+    """Centers (n, 3) and radii (n,) of spheres around triangles ``starts[n]`` up to ``starts[n + 1]``."""
     parts = [corners[begin:end].reshape(-1, 3) for begin, end in itertools.pairwise(starts)]
     hubs = np.array([part.mean(axis=0) for part in parts])
     return hubs, np.array([np.linalg.norm(part - hub, axis=1).max() for part, hub in zip(parts, hubs, strict=True)])
@@ -96,7 +96,7 @@ def _spheres(corners: Array, starts: NDArray[np.int64]) -> tuple[Array, Array]:
 
 @numba.njit(cache=True)
 def _points_distance(  # type: ignore[no-untyped-def]  # pragma: no cover
-    points, lowest, highest, corners, centres, radii, starts, hubs, spans, cells, tops, reaches, best
+    points, lowest, highest, corners, centers, radii, starts, hubs, spans, cells, tops, reaches, best
 ):
     for i in range(len(points)):
         p = (points[i, 0], points[i, 1], points[i, 2])
@@ -109,14 +109,14 @@ def _points_distance(  # type: ignore[no-untyped-def]  # pragma: no cover
                 if _gap(p, hubs[h]) - spans[h] >= best:
                     continue
                 for t in range(starts[h], starts[h + 1]):
-                    if _gap(p, centres[t]) - radii[t] < best:
+                    if _gap(p, centers[t]) - radii[t] < best:
                         best = min(best, _gap(p, _on_triangle(p, corners[t])))
     return best
 
 
 @numba.njit(cache=True)
 def _solid_distance(  # type: ignore[no-untyped-def]  # pragma: no cover
-    solid, corners, centres, radii, starts, hubs, spans, cells, tops, reaches, position, rotation, best
+    solid, corners, centers, radii, starts, hubs, spans, cells, tops, reaches, position, rotation, best
 ):
     """Smallest of ``best`` and the distance of an upright elliptic cylinder (a, b, bottom, top) to triangles."""
     bounds = np.empty(len(tops))
@@ -129,7 +129,7 @@ def _solid_distance(  # type: ignore[no-untyped-def]  # pragma: no cover
             if _to_solid(solid, hubs[h], position, rotation) - spans[h] >= best:
                 continue
             for i in range(starts[h], starts[h + 1]):
-                best = _to_triangle(solid, corners[i], centres[i], radii[i], position, rotation, best)
+                best = _to_triangle(solid, corners[i], centers[i], radii[i], position, rotation, best)
     return best
 
 
@@ -140,9 +140,9 @@ def _to_solid(solid, point, position, rotation):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _to_triangle(solid, corners, centre, radius, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _to_triangle(solid, corners, center, radius, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
     a, b, bottom, top = solid
-    x, y, z = _to_frame(centre, position, rotation)
+    x, y, z = _to_frame(center, position, rotation)
     flat = max(math.sqrt(x * x + y * y) - max(a, b), 0.0)
     high = max(z - top, bottom - z, 0.0)
     if math.sqrt(flat * flat + high * high) - radius >= best:

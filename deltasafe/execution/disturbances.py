@@ -11,7 +11,7 @@ __all__ = ["Disturbance", "Payload", "Push"]
 
 @dataclasses.dataclass(frozen=True)
 class Push:
-    """Somebody pushes a link at its centre of mass.
+    """Somebody pushes a link at its center of mass.
 
     Attributes:
         force_n: (3) in the world frame.
@@ -41,7 +41,7 @@ class Payload:
     """A mass at the flange that the model does not know of.
 
     Attributes:
-        mass_kg: of a ball around the flange's centre; the arm is made for 14 kg.
+        mass_kg: of a ball around the flange's center; the arm is made for 14 kg.
     """
 
     mass_kg: float

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["ChainModel", "placed_tool", "rigid_body"]
+__all__ = ["ChainModel", "forward_kinematics", "rigid_body"]
 
 Array = NDArray[np.float64]
 
@@ -28,8 +28,8 @@ class ChainModel(NamedTuple):
         rotations: (n + 1, 3, 3) and offsets_m (n + 1, 3): frame of joint j in that of link j - 1, at position 0;
             the last one is the tool's frame in the last link.
         axes: (n, 3) in the joint's frame.
-        masses_kg: (n,); centres_m: (n, 3) of mass in the link's frame.
-        inertias_kgm2: (n, 3, 3) about the centre of mass, in the link's frame.
+        masses_kg: (n,); centers_m: (n, 3) of mass in the link's frame.
+        inertias_kgm2: (n, 3, 3) about the center of mass, in the link's frame.
         base_rotation: (3, 3), base_m: (3,) of the base in the world.
         gravity_mps2: (3,) in the world.
     """
@@ -38,7 +38,7 @@ class ChainModel(NamedTuple):
     offsets_m: Array
     axes: Array
     masses_kg: Array
-    centres_m: Array
+    centers_m: Array
     inertias_kgm2: Array
     base_rotation: Array
     base_m: Array
@@ -76,13 +76,13 @@ class ChainModel(NamedTuple):
             if bodies and inertial is not None:
                 turn, shift = _origin(inertial)
                 bodies[-1].append(_body(inertial, rotation @ turn, offset + rotation @ shift))
-        masses, centres, inertias = zip(*(_merged(parts) for parts in bodies), strict=True)
+        masses, centers, inertias = zip(*(_merged(parts) for parts in bodies), strict=True)
         return cls(
             np.array([*rotations, rotation]),
             np.array([*offsets, offset]),
             np.array(axes),
             np.array(masses),
-            np.array(centres),
+            np.array(centers),
             np.array(inertias),
             np.array(base_rotation, dtype=np.float64),
             np.array(base_m, dtype=np.float64),
@@ -115,28 +115,28 @@ def _origin(element: ET.Element) -> tuple[Array, Array]:
     return rotation, _numbers(origin, "xyz", "0 0 0")
 
 
-def _body(inertial: ET.Element, rotation: Array, centre_m: Array) -> tuple[float, Array, Array]:
+def _body(inertial: ET.Element, rotation: Array, center_m: Array) -> tuple[float, Array, Array]:
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
     assert mass is not None
     assert inertia is not None
     xx, xy, xz, yy, yz, zz = (float(inertia.get(name, "0")) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return float(mass.get("value", "0")), centre_m, rotation @ tensor @ rotation.T
+    return float(mass.get("value", "0")), center_m, rotation @ tensor @ rotation.T
 
 
 def _merged(parts: list[tuple[float, Array, Array]]) -> tuple[float, Array, Array]:
-    """Mass, centre and inertia about it of bodies that are one (Huygens and Steiner)."""
+    """Mass, center and inertia about it of bodies that are one (Huygens and Steiner)."""
     mass = sum(part[0] for part in parts)
-    centre = sum((part[0] * part[1] for part in parts), np.zeros(3)) / mass
+    center = sum((part[0] * part[1] for part in parts), np.zeros(3)) / mass
     inertia = np.zeros((3, 3))
     for own_kg, own_m, tensor in parts:
-        away = own_m - centre
+        away = own_m - center
         inertia += tensor + own_kg * (away @ away * np.eye(3) - np.outer(away, away))
-    return mass, centre, inertia
+    return mass, center, inertia
 
 
 @numba.njit(cache=True)
-def placed_tool(model, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+def forward_kinematics(model, q):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Position (3,) and quaternion (4,) x, y, z, w of the tool at joint positions (n,)."""
     n = len(q)
     rotation, point = model.base_rotation, model.base_m.copy()
@@ -171,10 +171,10 @@ def rigid_body(model, q, q_dot):  # type: ignore[no-untyped-def]  # pragma: no c
         _add(rate[3:], 1.0, _cross(twist[3:], moving[:3]))
         _add(twist, 1.0, moving)
         rotation = _times(frame, _turn(model.axes[joint], q[joint]))
-        centre = _apply(rotation, model.centres_m[joint])
-        _add(centre, 1.0, point)
+        center = _apply(rotation, model.centers_m[joint])
+        _add(center, 1.0, point)
         tensor = _times(_times(rotation, model.inertias_kgm2[joint]), rotation.T)
-        _spatial_inertia(inertias[joint], model.masses_kg[joint], centre, tensor)
+        _spatial_inertia(inertias[joint], model.masses_kg[joint], center, tensor)
         felt[:] = rate
         _add(felt[3:], -1.0, model.gravity_mps2)
         momentum = _apply(inertias[joint], twist)
@@ -206,13 +206,13 @@ def rigid_body(model, q, q_dot):  # type: ignore[no-untyped-def]  # pragma: no c
 
 
 @numba.njit(cache=True)
-def _spatial_inertia(out, mass, centre, about_centre):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _spatial_inertia(out, mass, center, about_center):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Write the (6, 6) inertia about the origin into ``out``."""
-    x, y, z = centre[0], centre[1], centre[2]
+    x, y, z = center[0], center[1], center[2]
     square = x * x + y * y + z * z
     for i in range(3):
         for k in range(3):
-            out[i, k] = about_centre[i, k] - mass * centre[i] * centre[k]
+            out[i, k] = about_center[i, k] - mass * center[i] * center[k]
         out[i, i] += mass * square
         out[3 + i, 3 + i] = mass
     out[0, 4], out[0, 5], out[1, 5] = -mass * z, mass * y, -mass * x

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import SettingsError
 from deltasafe.execution.recording import PHASES, Execution
-from deltasafe.progress import Progress, silent
+from deltasafe.io.storage import atomic_file
 from deltasafe.scene.camera import Camera
-from deltasafe.storage import atomic_file
 
 __all__ = ["FilmSettings", "film_frames", "save_film"]
 
@@ -57,7 +57,7 @@ def film_frames(
     table_z_m: float = 0.0,
     progress: Progress = silent,
 ) -> list[NDArray[np.uint8]]:
-    """Frames (H, W, 3) uint8: reference in grey, executed path in blue, a line of text below."""
+    """Frames (H, W, 3) uint8: reference in gray, executed path in blue, a line of text below."""
     from deltasafe.execution.iiwa_view import ArmView, Viewpoint
 
     # the arm passes where the camera hung: its links are cut away, or they would hide what it looks at
@@ -124,10 +124,10 @@ def _with_paths(picture: NDArray[np.uint8], execution: Execution, sample: int, s
     judged = execution.judged
     reference = seen.pixels(execution.reference_poses[judged, :3])
     done = seen.pixels(execution.tool_positions_m[: sample + 1][judged[: sample + 1]])
-    for path, colour, width in ((reference, _REFERENCE_RGB, 1), (done, _TRACE_RGB, 2)):
+    for path, color, width in ((reference, _REFERENCE_RGB, 1), (done, _TRACE_RGB, 2)):
         points = [tuple(point) for point in path[np.isfinite(path).all(axis=1)]]
         if len(points) > 1:
-            draw.line(points, fill=colour, width=width)
+            draw.line(points, fill=color, width=width)
     return np.asarray(image)
 
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.execution.arm import ArmState, Dynamics
 from deltasafe.execution.disturbances import Disturbance, Payload, Push
-from deltasafe.execution.dynamics import ChainModel, placed_tool, rigid_body
+from deltasafe.execution.dynamics import ChainModel, forward_kinematics, rigid_body
 from deltasafe.execution.iiwa_urdf import add_payload, iiwa_with_tool
 from deltasafe.execution.kinematics import IIWA14_LIMITS, ArmMount, IiwaKinematics, JointLimits
 from deltasafe.planning.body import ToolBody
@@ -182,11 +182,11 @@ class World:
             # PyBullet pads hand and tool by 1 mm each; only the tool's pad stays, so that a touch counts 1 mm early
             p.changeDynamics(self.hand, -1, collisionMargin=MARGIN_M, physicsClientId=client)
 
-    def _box(self, centre: tuple[float, ...], half: tuple[float, ...], rgba: tuple[float, ...]) -> int:
+    def _box(self, center: tuple[float, ...], half: tuple[float, ...], rgba: tuple[float, ...]) -> int:
         p, client = self.bullet, self.client
         shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=client)
         visual = p.createVisualShape(p.GEOM_BOX, halfExtents=half, rgbaColor=rgba, physicsClientId=client)
-        return int(p.createMultiBody(0, shape, visual, centre, physicsClientId=client))
+        return int(p.createMultiBody(0, shape, visual, center, physicsClientId=client))
 
 
 class IiwaArm:
@@ -252,7 +252,7 @@ class IiwaArm:
     def state(self) -> ArmState:
         joints = self._bullet.getJointStates(self._arm, JOINTS, physicsClientId=self._client)
         q = np.array([joint[0] for joint in joints])
-        return ArmState(q, np.array([joint[1] for joint in joints]), *placed_tool(self._model, q))
+        return ArmState(q, np.array([joint[1] for joint in joints]), *forward_kinematics(self._model, q))
 
     def dynamics(self, state: ArmState) -> Dynamics:
         return Dynamics(*rigid_body(self._model, state.joint_positions_rad, state.joint_velocities_radps))
@@ -317,9 +317,9 @@ class IiwaArm:
         for push in self._pushes:
             if push.start_s <= time_s < push.start_s + push.duration_s:
                 p = self._bullet
-                centre = p.getLinkState(self._arm, push.link - 1, physicsClientId=self._client)[0]
+                center = p.getLinkState(self._arm, push.link - 1, physicsClientId=self._client)[0]
                 p.applyExternalForce(
-                    self._arm, push.link - 1, push.force_n, centre, p.WORLD_FRAME, physicsClientId=self._client
+                    self._arm, push.link - 1, push.force_n, center, p.WORLD_FRAME, physicsClientId=self._client
                 )
 
 

@@ -27,8 +27,8 @@ def iiwa_with_tool(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> 
     robot = ET.parse(kuka / "model.urdf").getroot()
     for mesh in robot.iter("mesh"):
         mesh.set("filename", str(kuka / str(mesh.get("filename"))))
-    for colour in robot.findall("material[@name='Blue']/color"):
-        colour.set("rgba", " ".join(map(str, LINK_RGBA)))
+    for color in robot.findall("material[@name='Blue']/color"):
+        color.set("rgba", " ".join(map(str, LINK_RGBA)))
     for index, joint in enumerate(robot.findall("joint")):
         limit = joint.find("limit")
         assert limit is not None

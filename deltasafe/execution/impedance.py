@@ -87,7 +87,7 @@ def impedance_torques(
 
 @numba.njit(cache=True)
 def pose_error(position_m, quaternion, measured_m, measured_quaternion):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """(6,) what is missing to the reference: metres, then the rotation vector in rad, world frame."""
+    """(6,) what is missing to the reference: meters, then the rotation vector in rad, world frame."""
     error = np.empty(6)
     for i in range(3):
         error[i] = position_m[i] - measured_m[i]

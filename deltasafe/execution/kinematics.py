@@ -70,13 +70,13 @@ class ArmMount:
 class IiwaKinematics:
     """Forward and inverse kinematics of an iiwa 14 with a straight tool below its flange.
 
-    The tool frame sits in the disc's centre, z along the shaft to the flange, x along the ellipse's first
+    The tool frame sits in the disc's center, z along the shaft to the flange, x along the ellipse's first
     semi-axis: with the shaft vertical its rotation in the world is Rz(yaw).
     """
 
     def __init__(self, mount: ArmMount, tool_length_m: float) -> None:
         if not (math.isfinite(tool_length_m) and tool_length_m > 0):
-            raise SettingsError(f"tool_length_m must be a positive length in metres, got {tool_length_m}")
+            raise SettingsError(f"tool_length_m must be a positive length in meters, got {tool_length_m}")
         self.mount = mount
         self.tool_length_m = tool_length_m
         self.limits = IIWA14_LIMITS
@@ -85,7 +85,7 @@ class IiwaKinematics:
         self._shoulder_m = self._base_m + np.array([0.0, 0.0, BASE_TO_SHOULDER_M])
 
     def forward(self, joint_positions_rad: Array) -> tuple[Array, Array, Array, Array]:
-        """Elbow, wrist and flange (N, 3) in metres and rotation (N, 3, 3) of the tool for (N, 7) joints."""
+        """Elbow, wrist and flange (N, 3) in meters and rotation (N, 3, 3) of the tool for (N, 7) joints."""
         q = np.asarray(joint_positions_rad, dtype=np.float64)
         upper = self._base_rotation @ _rotation_z(q[:, 0]) @ _rotation_y(q[:, 1])
         lower = upper @ _rotation_z(q[:, 2]) @ _rotation_y(-q[:, 3])
@@ -96,7 +96,7 @@ class IiwaKinematics:
         return elbow, wrist, flange, hand @ np.diag([1.0, -1.0, -1.0])
 
     def tool_position_m(self, joint_positions_rad: Array) -> Array:
-        """(N, 3) centre of the disc for (N, 7) joints."""
+        """(N, 3) center of the disc for (N, 7) joints."""
         _, _, flange, rotation = self.forward(joint_positions_rad)
         return np.asarray(flange - self.tool_length_m * rotation[:, :, 2])
 

@@ -15,9 +15,9 @@ from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.geometry import yaw_of
 from deltasafe.planning import CheckSettings, body_clearance_m, is_segment_safe, segment_test
 from deltasafe.planning.body import ToolBody
-from deltasafe.planning.field import SafetyField
-from deltasafe.planning.tracking import TrackingBound
-from deltasafe.scene.sighting import Sighting
+from deltasafe.planning.collision.distance_field import DistanceField
+from deltasafe.planning.tracking_bound import TrackingBound
+from deltasafe.scene.image_stamp import ImageStamp
 
 __all__ = ["CameraWatch", "Monitor"]
 
@@ -40,8 +40,8 @@ class CameraWatch:
         starts_s: the camera's clock when the execution begins.
     """
 
-    newest: Callable[[float], Sighting]
-    seen: Sighting
+    newest: Callable[[float], ImageStamp]
+    seen: ImageStamp
     starts_s: float = 0.0
 
     def require_live(self, max_look_age_s: float, max_frame_age_s: float) -> None:
@@ -60,7 +60,7 @@ class CameraWatch:
         if reason:
             raise StaleImageError(f"{reason}; restart the camera, take a new image and plan again")
 
-    def violation(self, time_s: float, before: Sighting, max_frame_age_s: float) -> tuple[Sighting, str]:
+    def violation(self, time_s: float, before: ImageStamp, max_frame_age_s: float) -> tuple[ImageStamp, str]:
         """The newest image at ``time_s`` of the execution, and what is wrong with it after ``before``."""
         now_s = self.starts_s + time_s
         newest = self.newest(now_s)
@@ -80,7 +80,7 @@ class Monitor:
         settings: ExecutionSettings,
         limits: JointLimits,
         body: ToolBody,
-        field: SafetyField | None,
+        field: DistanceField | None,
         camera: CameraWatch | None,
     ) -> None:
         self._bound, self._settings, self._body, self._camera = bound, settings, body, camera

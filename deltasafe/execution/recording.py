@@ -8,10 +8,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.arrays import read_npz
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.io.arrays import read_npz
+from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.planning.body import ToolBody
-from deltasafe.storage import atomic_folder, read_json, write_json
 
 __all__ = ["PHASES", "Execution"]
 
@@ -43,7 +43,7 @@ class Execution:
         time_s: (N,) from the start of the approach.
         phase: (N,) int8, index into ``PHASES``.
         reference_poses, reference_velocities: (N, 4) x, y, z [m], yaw [rad] and their rates.
-        tool_positions_m: (N, 3) measured centre of the disc.
+        tool_positions_m: (N, 3) measured center of the disc.
         tool_quaternions: (N, 4) measured rotation of the tool, x, y, z, w; half turns of its mounting taken out.
         joint_positions_rad, torques_nm: (N, n); torques as commanded after saturation.
         tool_to_hand_m, arm_to_hand_m: (N,) distance of the tool, and of the links above it (infinite beyond
@@ -110,7 +110,7 @@ class Execution:
 
     @property
     def position_error_m(self) -> NDArray[np.float64]:
-        """(N,) distance of the measured centre from the reference."""
+        """(N,) distance of the measured center from the reference."""
         return np.asarray(np.linalg.norm(self.tool_positions_m - self.reference_poses[:, :3], axis=1))
 
     @property

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.execution.arm import Arm, ArmState
 from deltasafe.execution.distance import MeshDistance
 from deltasafe.execution.disturbances import Disturbance
@@ -18,9 +19,8 @@ from deltasafe.execution.reference import Reference
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.geometry import Trajectory
 from deltasafe.planning.body import ToolBody
-from deltasafe.planning.field import SafetyField
-from deltasafe.planning.tracking import TrackingBound
-from deltasafe.progress import Progress, silent
+from deltasafe.planning.collision.distance_field import DistanceField
+from deltasafe.planning.tracking_bound import TrackingBound
 
 __all__ = ["ExecutionSettings", "execute", "iiwa_for"]
 
@@ -57,7 +57,7 @@ def execute(
     *,
     bound: TrackingBound | None = None,
     unsafe_below_m: float | None = None,
-    field: SafetyField | None = None,
+    field: DistanceField | None = None,
     camera: CameraWatch | None = None,
     make_arm: Callable[[int], contextlib.AbstractContextManager[Arm]] | None = None,
     progress: Progress = silent,

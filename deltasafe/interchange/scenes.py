@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
-from deltasafe.interchange.log import LogContent, LogWriter, read_log, stamp
+from deltasafe.interchange.mcap_log import LogContent, LogWriter, read_log, stamp
+from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.scene import LoggedScene
-from deltasafe.storage import atomic_folder, write_json
 
 __all__ = ["export_scene", "import_scene", "write_scene_topics"]
 

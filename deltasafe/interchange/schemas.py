@@ -31,14 +31,14 @@ def _list(item: Schema, **limits: int) -> Schema:
 VECTOR = _record("foxglove.Vector3", x=NUMBER, y=NUMBER, z=NUMBER)
 POINT = _record("foxglove.Point3", x=NUMBER, y=NUMBER, z=NUMBER)
 QUATERNION = _record("foxglove.Quaternion", x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER)
-COLOUR = _record("foxglove.Color", r=NUMBER, g=NUMBER, b=NUMBER, a=NUMBER)
+COLOR = _record("foxglove.Color", r=NUMBER, g=NUMBER, b=NUMBER, a=NUMBER)
 POSE = _record("foxglove.Pose", position=VECTOR, orientation=QUATERNION)
 TRIANGLES = _record(
     "foxglove.TriangleListPrimitive",
     pose=POSE,
     points=_list(POINT),
-    color=COLOUR,
-    colors=_list(COLOUR),
+    color=COLOR,
+    colors=_list(COLOR),
     indices=_list(COUNT),
 )
 ENTITY = _record(

@@ -103,7 +103,7 @@ class TrainingSettings:
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.batch_size < 2:
-            raise SettingsError(f"batch_size must be at least 2 (batch normalisation), got {self.batch_size}")
+            raise SettingsError(f"batch_size must be at least 2 (batch normalization), got {self.batch_size}")
         if not 0 <= self.small_share <= 1:
             raise SettingsError(f"small_share must lie in [0, 1], got {self.small_share}")
         if not 0 < self.small_scale <= 1:

@@ -1,27 +1,28 @@
 """Motions that keep away from what may be occupied: SCC-RRT*, its segment tests, and safe velocity scheduling."""
 
 from deltasafe.planning.body import ToolBody
-from deltasafe.planning.checks import (
+from deltasafe.planning.collision.distance_field import DistanceField
+from deltasafe.planning.collision.segment_query import answers_segments, segment_is_safe
+from deltasafe.planning.collision.segment_tests import (
     CheckSettings,
     SegmentTest,
     body_clearance_m,
     is_segment_safe,
     segment_test,
 )
-from deltasafe.planning.constraint import answers_segments, segment_is_safe
-from deltasafe.planning.cost import LineCost, area_m2, line_cost, path_cost
-from deltasafe.planning.field import SafetyField
 from deltasafe.planning.motion import MotionSettings, PlannedMotion, plan_motion
-from deltasafe.planning.refine import refine_path
 from deltasafe.planning.results import PlanResult, PlanStatus
-from deltasafe.planning.rrt_star import RrtStar, grow_tree
 from deltasafe.planning.scc_rrt_star import Planner, PlannerSettings, plan
-from deltasafe.planning.tracking import TrackingBound
-from deltasafe.planning.tree import SearchTree
-from deltasafe.planning.velocity import SpeedProfile, VelocitySettings, schedule, schedule_at_top_speed
+from deltasafe.planning.search.cost import LineCost, area_m2, line_cost, path_cost
+from deltasafe.planning.search.rrt_star import RrtStar, grow_tree
+from deltasafe.planning.search.shortcutting import refine_path
+from deltasafe.planning.search.tree import SearchTree
+from deltasafe.planning.timing.velocity_schedule import SpeedProfile, VelocitySettings, schedule, schedule_at_top_speed
+from deltasafe.planning.tracking_bound import TrackingBound
 
 __all__ = [
     "CheckSettings",
+    "DistanceField",
     "LineCost",
     "MotionSettings",
     "PlanResult",
@@ -30,7 +31,6 @@ __all__ = [
     "Planner",
     "PlannerSettings",
     "RrtStar",
-    "SafetyField",
     "SearchTree",
     "SegmentTest",
     "SpeedProfile",

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.planning.cover import disc_balls, disc_cover, distance_to_ellipse
+from deltasafe.planning.disc_cover import disc_balls, disc_cover, distance_to_ellipse
 
-__all__ = ["BodyNumbers", "ToolBody"]
+__all__ = ["BodyParams", "ToolBody"]
 
 Array = NDArray[np.float64]
 NO_SHAFT_M = -1e6
 
 
-class BodyNumbers(NamedTuple):
+class BodyParams(NamedTuple):
     """The numbers of a tool's body, as compiled code reads them. A shaft that is not there has a negative radius."""
 
     disc_radius_m: float
@@ -31,8 +31,8 @@ class BodyNumbers(NamedTuple):
 class ToolBody:
     """An elliptic disc parallel to the table at the lower end of a slim vertical shaft (decision 12).
 
-    The pose of the tool is the centre of the disc; yaw turns the ellipse, pi-periodically. The shaft rises
-    from the disc to the flange, ``shaft_length_m`` above the centre of the disc; a length of 0 means the disc alone,
+    The pose of the tool is the center of the disc; yaw turns the ellipse, pi-periodically. The shaft rises
+    from the disc to the flange, ``shaft_length_m`` above the center of the disc; a length of 0 means the disc alone,
     as in section V-B of the paper.
     """
 
@@ -45,7 +45,7 @@ class ToolBody:
     def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():
             if not (math.isfinite(value) and (value > 0 or (name == "shaft_length_m" and value == 0))):
-                raise SettingsError(f"{name} must be a positive length in metres, got {value}")
+                raise SettingsError(f"{name} must be a positive length in meters, got {value}")
         if self.shaft_radius_m > min(self.semi_axis_x_m, self.semi_axis_y_m):
             raise SettingsError(f"shaft_radius_m {self.shaft_radius_m} is wider than the disc")
 
@@ -56,13 +56,13 @@ class ToolBody:
 
     @property
     def disc_radius_m(self) -> float:
-        """Radius of the ball around the centre that encloses the disc."""
+        """Radius of the ball around the center that encloses the disc."""
         return math.hypot(self.rho_max_m, self.thickness_m / 2)
 
     @property
-    def numbers(self) -> BodyNumbers:
+    def numbers(self) -> BodyParams:
         """What compiled code reads."""
-        return BodyNumbers(
+        return BodyParams(
             self.disc_radius_m,
             self.thickness_m / 2,
             self.shaft_radius_m if self.shaft_length_m > 0 else NO_SHAFT_M,
@@ -112,10 +112,10 @@ class ToolBody:
 
     @property
     def disc_cover(self) -> tuple[Array, float]:
-        """Balls whose union contains the disc: centres (n, 3) in the body's frame, and their common radius."""
+        """Balls whose union contains the disc: centers (n, 3) in the body's frame, and their common radius."""
         return disc_cover(self.semi_axis_x_m, self.semi_axis_y_m, self.thickness_m)
 
     @property
     def disc_balls(self) -> Array:
-        """(m, 4) centres in the body's frame and radii of few balls whose union contains the disc."""
+        """(m, 4) centers in the body's frame and radii of few balls whose union contains the disc."""
         return disc_balls(self.semi_axis_x_m, self.semi_axis_y_m, self.thickness_m)

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from deltasafe.arrays import read_npz
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.geometry import Pose, PosePath, Trajectory
+from deltasafe.io.arrays import read_npz
+from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.planning.body import ToolBody
-from deltasafe.planning.field import SafetyField
+from deltasafe.planning.collision.distance_field import DistanceField
 from deltasafe.planning.results import PlanResult, PlanStatus
 from deltasafe.planning.scc_rrt_star import PlannerSettings, plan
-from deltasafe.planning.tracking import TrackingBound
-from deltasafe.planning.velocity import SpeedProfile, VelocitySettings, schedule
-from deltasafe.scene import OccupancyGrid, Sighting
-from deltasafe.storage import atomic_folder, read_json, write_json
+from deltasafe.planning.timing.velocity_schedule import SpeedProfile, VelocitySettings, schedule
+from deltasafe.planning.tracking_bound import TrackingBound
+from deltasafe.scene import ImageStamp, OccupancyGrid
 
 __all__ = ["MotionSettings", "PlannedMotion", "plan_motion"]
 
@@ -67,7 +67,7 @@ class PlannedMotion:
     body: ToolBody
     tracking: TrackingBound
     seed: int
-    seen: Sighting | None = None
+    seen: ImageStamp | None = None
 
     @property
     def is_safe(self) -> bool:
@@ -130,7 +130,7 @@ class PlannedMotion:
                 ToolBody(**record["body"]),
                 TrackingBound(**record["tracking"]),
                 record["seed"],
-                Sighting(**record["seen"]) if record.get("seen") else None,
+                ImageStamp(**record["seen"]) if record.get("seen") else None,
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise DataError(folder, f"does not hold a planned motion ({error!r}); plan it again") from error
@@ -145,7 +145,7 @@ def plan_motion(
     seed: int,
     body: ToolBody | None = None,
     tracking: TrackingBound | None = None,
-    seen: Sighting | None = None,
+    seen: ImageStamp | None = None,
 ) -> PlannedMotion:
     """Path, verification and schedule in one. A scene without a safe path is an outcome with its reason.
 
@@ -159,7 +159,7 @@ def plan_motion(
     if abs(table_z_m - grid.origin_m[2]) > 1e-9:
         raise SettingsError(f"the grid must stand on the table: {grid.origin_m[2]} m against {table_z_m} m")
     body, tracking = body or ToolBody(), tracking or settings.tracking
-    field = SafetyField.build(grid, settings.delta)
+    field = DistanceField.build(grid, settings.delta)
     result = plan(start, goal, field, settings, seed, body, tracking)
     trajectory, profile, reason = None, None, ""
     if result.status is not PlanStatus.SOLVED or result.path is None:

@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import Pose, PosePath, wrap_to_pi
 from deltasafe.planning.body import ToolBody
-from deltasafe.planning.checks import (
+from deltasafe.planning.collision.distance_field import DistanceField
+from deltasafe.planning.collision.segment_tests import (
     CheckSettings,
     SegmentTest,
     body_clearance_m,
     is_segment_safe,
     segment_test,
 )
-from deltasafe.planning.connection import is_connected
-from deltasafe.planning.cost import COSTS, area_m2, line_cost, path_cost
-from deltasafe.planning.field import SafetyField
-from deltasafe.planning.refine import refine_path
 from deltasafe.planning.results import PlanResult, PlanStatus
-from deltasafe.planning.rrt_star import NEAR_SETS, RrtStar
-from deltasafe.planning.tracking import TrackingBound
+from deltasafe.planning.search.connectivity import is_connected
+from deltasafe.planning.search.cost import COSTS, area_m2, line_cost, path_cost
+from deltasafe.planning.search.rrt_star import NEAR_SETS, RrtStar
+from deltasafe.planning.search.shortcutting import refine_path
+from deltasafe.planning.tracking_bound import TrackingBound
 
 __all__ = ["Planner", "PlannerSettings", "plan"]
 
@@ -54,8 +54,8 @@ class PlannerSettings(CheckSettings):
         steering_range_m, goal_bias, near_factor, near_set, informed: see ``RrtStar``; a ``near_factor`` of 16 is its
             quality mode.
         n_refinements: local changes tried on the result; 0 leaves the tree's own path.
-        z_min_above_table_m: lowest centre of the disc.
-        z_max_above_field_m: highest centre of the disc, above the upper face of the field.
+        z_min_above_table_m: lowest center of the disc.
+        z_max_above_field_m: highest center of the disc, above the upper face of the field.
         yaw_range_rad: yaw stays within this of the start's (or of the goal's, if that is farther).
     """
 
@@ -129,7 +129,7 @@ class Planner:
         self,
         start: Pose,
         goals: Sequence[Pose],
-        field: SafetyField,
+        field: DistanceField,
         settings: PlannerSettings,
         seed: int,
         body: ToolBody | None = None,
@@ -177,7 +177,7 @@ class Planner:
             results.append(self._verdict(poses, *counts))
         return tuple(results)
 
-    def replan(self, field: SafetyField) -> tuple[PlanResult, ...]:
+    def replan(self, field: DistanceField) -> tuple[PlanResult, ...]:
         """Plan again in a changed field. Edges that are still safe stay in the tree, with their costs.
 
         Raises:
@@ -188,7 +188,7 @@ class Planner:
             self._search.recheck(self._test)
         return self.plan()
 
-    def _look(self, field: SafetyField) -> None:
+    def _look(self, field: DistanceField) -> None:
         settings = self.settings
         if field.delta != settings.delta:
             raise SettingsError(f"the field was built for delta {field.delta}, the settings ask {settings.delta}")
@@ -294,7 +294,7 @@ class Planner:
 def plan(
     start: Pose,
     goal: Pose,
-    field: SafetyField,
+    field: DistanceField,
     settings: PlannerSettings,
     seed: int,
     body: ToolBody | None = None,
@@ -308,7 +308,7 @@ def plan(
     return Planner(start, [goal], field, settings, seed, body, tracking).plan()[0]
 
 
-def search_bounds(field: SafetyField, settings: PlannerSettings, start: Array, goals: Array) -> tuple[Array, Array]:
+def search_bounds(field: DistanceField, settings: PlannerSettings, start: Array, goals: Array) -> tuple[Array, Array]:
     """Lower and upper poses (4,) of a search: the view, the heights and turns of the settings, all ends."""
     turn = settings.yaw_range_rad
     low_z, high_z = field.arrays.floor_z_m + settings.z_min_above_table_m, field.top_z_m

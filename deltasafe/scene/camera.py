@@ -23,7 +23,7 @@ class Camera:
         width: columns of the image.
         height: rows of the image.
         fx, fy, cx, cy: focal lengths and principal point in pixels.
-        position_m: (3,) optical centre in the world frame.
+        position_m: (3,) optical center in the world frame.
         world_from_camera_rotation: (3, 3); columns are the camera's x (right), y (down), z (forward) in world axes.
 
     Raises:
@@ -77,7 +77,7 @@ class Camera:
                 name: np.asarray(value[name], dtype=np.float64) for name in ("position_m", "world_from_camera_rotation")
             }
         except (TypeError, ValueError) as error:
-            raise SettingsError(f"camera must hold numbers, in pixels and metres ({error})") from error
+            raise SettingsError(f"camera must hold numbers, in pixels and meters ({error})") from error
         return cls(width=value["width"], height=value["height"], **numbers, **arrays)
 
     def project(self, points_m: Array) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compiling import compiled, kernel
+from deltasafe.compute.numba_cache import compiled, kernel
 from deltasafe.errors import SettingsError
 from deltasafe.scene.camera import Camera
 from deltasafe.scene.occupancy import OccupancyGrid
@@ -22,7 +22,7 @@ class FieldSettings:
     """How the image becomes a field.
 
     Attributes:
-        voxel_m: edge of a voxel; 2.5 mm is 4 to 5 pixels of a 640 x 480 camera half a metre above the table.
+        voxel_m: edge of a voxel; 2.5 mm is 4 to 5 pixels of a 640 x 480 camera half a meter above the table.
         depth_margin_m: the field reaches this far above the hand, for errors of its height.
     """
 

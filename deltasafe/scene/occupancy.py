@@ -7,10 +7,10 @@ import pathlib
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.arrays import read_npz
-from deltasafe.compiling import compiled
+from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import DataError, SettingsError
-from deltasafe.storage import atomic_file
+from deltasafe.io.arrays import read_npz
+from deltasafe.io.storage import atomic_file
 
 __all__ = ["OccupancyGrid"]
 
@@ -45,7 +45,7 @@ class OccupancyGrid:
         if origin_m.shape != (3,) or not np.isfinite(origin_m).all():
             raise SettingsError(f"origin_m must be a finite point, got {origin_m.tolist()}")
         if not (math.isfinite(self.voxel_m) and self.voxel_m > 0):
-            raise SettingsError(f"voxel_m must be a positive length in metres, got {self.voxel_m}")
+            raise SettingsError(f"voxel_m must be a positive length in meters, got {self.voxel_m}")
         p_occupied.setflags(write=False)
         origin_m.setflags(write=False)
         object.__setattr__(self, "p_occupied", p_occupied)

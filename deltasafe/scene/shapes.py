@@ -19,9 +19,9 @@ Triple = tuple[float, float, float]
 
 @dataclasses.dataclass(frozen=True)
 class Sphere:
-    """A ball of ``radius_m`` around ``centre_m``."""
+    """A ball of ``radius_m`` around ``center_m``."""
 
-    centre_m: Triple
+    center_m: Triple
     radius_m: float
 
     def __post_init__(self) -> None:
@@ -30,19 +30,19 @@ class Sphere:
 
     @property
     def reach_m(self) -> float:
-        """Radius of the least ball around the centre that encloses it."""
+        """Radius of the least ball around the center that encloses it."""
         return self.radius_m
 
     def distance_m(self, points_m: Array) -> Array:
         """Distance (N,) of points (N, 3) to the ball, 0 inside."""
-        return np.maximum(np.linalg.norm(np.asarray(points_m) - self.centre_m, axis=1) - self.radius_m, 0.0)
+        return np.maximum(np.linalg.norm(np.asarray(points_m) - self.center_m, axis=1) - self.radius_m, 0.0)
 
 
 @dataclasses.dataclass(frozen=True)
 class Cuboid:
-    """A box of half edges ``half_extents_m`` around ``centre_m``, turned by ``yaw_rad`` about the vertical."""
+    """A box of half edges ``half_extents_m`` around ``center_m``, turned by ``yaw_rad`` about the vertical."""
 
-    centre_m: Triple
+    center_m: Triple
     half_extents_m: Triple
     yaw_rad: float = 0.0
 
@@ -52,13 +52,13 @@ class Cuboid:
 
     @property
     def reach_m(self) -> float:
-        """Radius of the least ball around the centre that encloses it."""
+        """Radius of the least ball around the center that encloses it."""
         return math.hypot(*self.half_extents_m)
 
     def distance_m(self, points_m: Array) -> Array:
         """Distance (N,) of points (N, 3) to the box, 0 inside."""
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        local = (np.asarray(points_m) - self.centre_m) @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+        local = (np.asarray(points_m) - self.center_m) @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
         return np.asarray(np.linalg.norm(np.maximum(np.abs(local) - self.half_extents_m, 0.0), axis=1))
 
 
@@ -105,10 +105,10 @@ def grid_from_shapes(
     p_free = np.ones(counts)
     for shape in shapes:  # beyond its reach a shape changes nothing
         reach_m = shape.reach_m + decay_m + slack_m
-        first = np.clip(np.floor((np.asarray(shape.centre_m) - reach_m - lower) / voxel_m), 0, counts).astype(int)
-        last = np.clip(np.ceil((np.asarray(shape.centre_m) + reach_m - lower) / voxel_m), first, counts).astype(int)
+        first = np.clip(np.floor((np.asarray(shape.center_m) - reach_m - lower) / voxel_m), 0, counts).astype(int)
+        last = np.clip(np.ceil((np.asarray(shape.center_m) + reach_m - lower) / voxel_m), first, counts).astype(int)
         axes = [lower[i] + voxel_m * (np.arange(first[i], last[i]) + 0.5) for i in range(3)]
-        centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        near = _p_free(shape, decay_m, centres.reshape(-1, 3), slack_m)
-        p_free[tuple(slice(*ends) for ends in zip(first, last, strict=True))] *= near.reshape(centres.shape[:3])
+        centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        near = _p_free(shape, decay_m, centers.reshape(-1, 3), slack_m)
+        p_free[tuple(slice(*ends) for ends in zip(first, last, strict=True))] *= near.reshape(centers.shape[:3])
     return OccupancyGrid((1.0 - p_free).astype(np.float32), lower, voxel_m)

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.execution.safety import body_points
+from deltasafe.execution.verdict import body_points
 from deltasafe.geometry import Trajectory
 from deltasafe.planning.body import ToolBody
 from deltasafe.scene import LoggedScene, OccupancyGrid
-from deltasafe.trials.fields import load_field
 from deltasafe.trials.motions import load_motion
+from deltasafe.trials.occupancy_fields import load_occupancy_grid
 
 __all__ = ["Audit", "audit_motions", "audit_path", "audit_trajectory"]
 
@@ -75,6 +75,6 @@ def audit_motions(scenes: Sequence[LoggedScene], fields: pathlib.Path, motions: 
     for scene in scenes:
         motion = load_motion(motions, scene.id)
         if motion.trajectory is not None:
-            grid = load_field(fields, scene.id)
+            grid = load_occupancy_grid(fields, scene.id)
             audits[scene.id] = audit_trajectory(motion.trajectory, grid, motion.body, motion.settings.delta)
     return audits

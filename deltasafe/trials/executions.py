@@ -6,16 +6,16 @@ import multiprocessing
 import pathlib
 from collections.abc import Sequence
 
+from deltasafe.compute.parent_watchdog import end_with_parent
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.execution.recording import Execution
 from deltasafe.execution.simulate import ExecutionSettings, execute, iiwa_for
-from deltasafe.lifeline import end_with_parent
-from deltasafe.planning import SafetyField
-from deltasafe.progress import Progress, silent
+from deltasafe.io.storage import atomic_folder, read_json, write_json
+from deltasafe.planning import DistanceField
 from deltasafe.scene import LoggedScene
-from deltasafe.storage import atomic_folder, read_json, write_json
-from deltasafe.trials.fields import load_field, load_seen
 from deltasafe.trials.motions import load_motion
+from deltasafe.trials.occupancy_fields import load_occupancy_grid, load_seen
 
 __all__ = ["Outcome", "execute_scenes", "load_execution", "load_outcomes"]
 
@@ -86,7 +86,7 @@ def _execute(job: _Job) -> Outcome:
         return Outcome(scene.id, False, motion.reason)
     if motion.seen is not None and motion.seen != load_seen(job.fields, scene.id):
         raise DataError(job.motions / scene.id, "was planned from another image than its field; plan it again")
-    mesh, grid = scene.true_mesh(), load_field(job.fields, scene.id)
+    mesh, grid = scene.true_mesh(), load_occupancy_grid(job.fields, scene.id)
     try:
         execution = execute(
             motion.trajectory,
@@ -96,7 +96,7 @@ def _execute(job: _Job) -> Outcome:
             job.seed,
             bound=motion.tracking,
             unsafe_below_m=float(grid.upper_m[2]) + float(motion.tracking.error_m(motion.settings.v_max_mps)),
-            field=SafetyField.build(grid, motion.settings.delta),
+            field=DistanceField.build(grid, motion.settings.delta),
             make_arm=iiwa_for(motion.body, mesh, scene.table_z_m),
         )
     except PlanningError as error:

@@ -3,14 +3,14 @@
 import pathlib
 from collections.abc import Sequence
 
-from deltasafe.figures.planning import plan_over_image
-from deltasafe.perception.calibration import Calibration, require_supported_delta
-from deltasafe.perception.hands import read_rgb
+from deltasafe.compute.progress import Progress, silent
+from deltasafe.io.storage import atomic_folder
+from deltasafe.perception.calibration.delta_support import Calibration, require_supported_delta
+from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.planning import MotionSettings, PlannedMotion, plan_motion
-from deltasafe.progress import Progress, silent
 from deltasafe.scene import LoggedScene
-from deltasafe.storage import atomic_folder
-from deltasafe.trials.fields import load_field, load_p_occupied, load_seen
+from deltasafe.trials.motion_figure import plan_over_image
+from deltasafe.trials.occupancy_fields import load_occupancy_grid, load_p_occupied, load_seen
 
 __all__ = ["load_motion", "plan_scenes"]
 
@@ -38,7 +38,7 @@ def plan_scenes(
     motions = {}
     with atomic_folder(folder) as temporary:
         for index, scene in enumerate(scenes):
-            grid = load_field(fields, scene.id)
+            grid = load_occupancy_grid(fields, scene.id)
             seen = load_seen(fields, scene.id)
             motion = plan_motion(grid, scene.start, scene.goal, scene.table_z_m, settings, seed + index, seen=seen)
             motion.save(temporary / scene.id)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
-from deltasafe.figures.occupancy import occupancy_overlay
-from deltasafe.perception.hands import read_rgb
+from deltasafe.io.storage import atomic_file
+from deltasafe.perception.data.labeled_images import read_rgb
+from deltasafe.perception.inference.occupancy_overlay import occupancy_overlay
 from deltasafe.scene import LoggedScene
-from deltasafe.storage import atomic_file
-from deltasafe.trials.fields import load_p_occupied
+from deltasafe.trials.occupancy_fields import load_p_occupied
 
 __all__ = ["overview", "tile_pictures"]
 
@@ -24,7 +24,7 @@ def overview(
     """All scenes side by side, each with what the ensemble saw in it; a JPEG, returned.
 
     Args:
-        fields: folder of `deltasafe.trials.fields.write_fields`.
+        fields: folder of `deltasafe.trials.occupancy_fields.write_fields`.
         delta: threshold of the border that is drawn.
     """
     tiles = []
@@ -53,7 +53,7 @@ def tile_pictures(pictures: Sequence[pathlib.Path], destination: pathlib.Path, c
 def _write_sheet(
     tiles: Sequence[NDArray[Any]], columns: int, destination: pathlib.Path, *, ground: int, quality: int
 ) -> None:
-    """Tiles (H, W, 3) of one width, row by row, on a ground of one grey."""
+    """Tiles (H, W, 3) of one width, row by row, on a ground of one gray."""
     height, width = max(len(tile) for tile in tiles), tiles[0].shape[1]
     columns = min(columns, len(tiles))
     sheet = np.full((-(-len(tiles) // columns) * height, columns * width, 3), ground, np.uint8)

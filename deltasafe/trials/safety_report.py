@@ -3,8 +3,8 @@
 import dataclasses
 import pathlib
 
-from deltasafe.execution.safety import SafetyVerdict
-from deltasafe.storage import read_json
+from deltasafe.execution.verdict import SafetyVerdict
+from deltasafe.io.storage import read_json
 
 __all__ = ["SafetyReport", "SceneReport", "read_figures"]
 
@@ -45,7 +45,7 @@ class SafetyReport:
         return [scene.verdict for scene in self.scenes if scene.verdict is not None]
 
     def figures(self) -> dict[str, float]:
-        """The figures of all executions together, by short name; lengths in metres."""
+        """The figures of all executions together, by short name; lengths in meters."""
         verdicts = self.verdicts
         found: dict[str, float] = {
             "scenes": len(self.scenes),

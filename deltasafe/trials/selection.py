@@ -6,8 +6,8 @@ import shutil
 from collections.abc import Sequence
 
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.io.storage import atomic_folder, read_json, sha256_of_file, write_json
 from deltasafe.scene import LoggedScene, load_scenes
-from deltasafe.storage import atomic_folder, read_json, sha256_of_file, write_json
 
 __all__ = ["load_selection", "select_scene", "select_scenes"]
 

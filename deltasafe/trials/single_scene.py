@@ -2,18 +2,18 @@
 
 import pathlib
 
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.execution.simulate import ExecutionSettings
-from deltasafe.perception.artifact import load_ensemble
+from deltasafe.io.storage import atomic_folder
+from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
 from deltasafe.planning import MotionSettings, PlannedMotion
-from deltasafe.progress import Progress, silent
 from deltasafe.scene import FieldSettings
-from deltasafe.storage import atomic_folder
 from deltasafe.trials.executions import execute_scenes
-from deltasafe.trials.fields import write_fields
 from deltasafe.trials.motions import load_motion, plan_scenes
+from deltasafe.trials.occupancy_fields import write_fields
 from deltasafe.trials.safety_report import SafetyReport
-from deltasafe.trials.safety_writing import write_safety_report
 from deltasafe.trials.selection import load_selection
+from deltasafe.trials.write_safety_report import write_safety_report
 
 __all__ = ["execute_scene", "plan_scene"]
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from random import Random
 from typing import Any
 
-from deltasafe.perception.artifact import golden_difference, load_ensemble
+from deltasafe.perception.artifact.frozen_ensemble import golden_difference, load_ensemble
 from faults.judging import Case, Door, Spoil, rewrite
 from faults.malformed.documents import changed, document_spoils, field_spoils
 from faults.malformed.files import at, file_spoils, filled, linked_out

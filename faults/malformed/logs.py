@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 from deltasafe.interchange import export_scene, import_scene
-from deltasafe.interchange.log import LogWriter, read_log
+from deltasafe.interchange.mcap_log import LogWriter, read_log
 from deltasafe.interchange.scenes import CALIBRATION, FACTS, GOAL, IMAGE, MASK, MESH, START, TRANSFORM
 from deltasafe.interchange.schemas import SCHEMAS
 from deltasafe.scene import LoggedScene

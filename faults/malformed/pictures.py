@@ -11,7 +11,7 @@ from random import Random
 import numpy as np
 from PIL import Image
 
-from deltasafe.perception.hands import HandSet, read_rgb
+from deltasafe.perception.data.labeled_images import LabeledImageSet, read_rgb
 from faults.judging import Case, Door, Spoil, rewrite
 from faults.malformed.files import at, file_spoils, filled
 
@@ -48,7 +48,7 @@ def hand_cases(home: pathlib.Path, datasets: pathlib.Path) -> list[Case]:
             shutil.copyfile(source, sound / kind / f"{name}{source.suffix}")
 
     def read(given: pathlib.Path, out: pathlib.Path) -> None:
-        HandSet.load(given)
+        LabeledImageSet.load(given)
 
     door = Door("hands", sound, read)
     image = _first(sound / "images")

@@ -9,8 +9,8 @@ import numpy as np
 
 from deltasafe.execution import Execution
 from deltasafe.geometry import PosePath, Trajectory
-from deltasafe.perception.hands import read_registry
-from deltasafe.perception.member import Member
+from deltasafe.perception.data.labeled_images import read_registry
+from deltasafe.perception.training.member import Member
 from deltasafe.planning import (
     MotionSettings,
     PlannedMotion,

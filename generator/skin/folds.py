@@ -42,10 +42,12 @@ def draw_joint_folds(marks: Marks, regions: Regions, pose: Pose, wrinkles: float
                 marks.add(crease, darkness=0.30, redness=0.25, relief_mm=-0.35)
             if k > 1:
                 back = regions.dorsal * near
-                folded = np.exp(-((along / (4.2 if k == 2 else 3.0)) ** 2)) * back * (1 - 0.8 * bend(pose, bone, 60))
+                fuse_conv_bn = (
+                    np.exp(-((along / (4.2 if k == 2 else 3.0)) ** 2)) * back * (1 - 0.8 * bend(pose, bone, 60))
+                )
                 wave = np.cos(2 * np.pi * along / 2.1 + 2 * wobble + 2 * fine_wobble)
-                marks.add(folded * np.clip(wave, 0, 1), darkness=0.24 * (0.4 + wrinkles))
-                marks.add(folded * wave, relief_mm=-0.2 * (0.4 + wrinkles))
+                marks.add(fuse_conv_bn * np.clip(wave, 0, 1), darkness=0.24 * (0.4 + wrinkles))
+                marks.add(fuse_conv_bn * wave, relief_mm=-0.2 * (0.4 + wrinkles))
                 bulge = np.exp(-((along / 5.3) ** 2)) * back
                 marks.add(bulge, 0.10 * (0.5 + dark), 0.35 * (1 - 0.5 * bend(pose, bone, 60)), 0.5)
             else:

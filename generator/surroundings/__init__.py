@@ -18,7 +18,7 @@ from generator.skin.palette import linear
 from generator.surroundings.maps import MAPS, procedural_map
 from generator.surroundings.textures import TEXTURES, procedural_texture
 
-__all__ = ["SEEN_IN_BACKGROUNDS", "Surroundings"]
+__all__ = ["SEEN_IN_BACKGROUNDS", "CollisionArrays"]
 
 PROCEDURAL = "procedural/"
 # environment maps of which datasets/backgrounds shows views: pictures made for testing must not show them
@@ -28,7 +28,7 @@ MAP_SUFFIXES, SURFACE_SUFFIXES = (".exr", ".hdr"), (".jpg", ".jpeg", ".png")
 
 
 @dataclasses.dataclass(frozen=True)
-class Surroundings:
+class CollisionArrays:
     """Environment maps and surfaces by name.
 
     Attributes:
@@ -40,7 +40,7 @@ class Surroundings:
     surface_files: dict[str, pathlib.Path] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def find(cls, folder: str | pathlib.Path) -> "Surroundings":
+    def find(cls, folder: str | pathlib.Path) -> "CollisionArrays":
         """All that lies in ``folder``; nothing but the procedural ones if it does not exist."""
         folder = pathlib.Path(folder)
         return cls(_files(folder / "maps", MAP_SUFFIXES), _files(folder / "surfaces", SURFACE_SUFFIXES))

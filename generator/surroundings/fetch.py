@@ -15,9 +15,9 @@ import tempfile
 import zipfile
 from collections.abc import Iterable
 
+from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError
-from deltasafe.progress import Progress, silent
-from deltasafe.storage import atomic_file, sha256_of_file, write_json
+from deltasafe.io.storage import atomic_file, sha256_of_file, write_json
 
 __all__ = ["SOURCES", "Source", "fetch"]
 

@@ -6,7 +6,11 @@ import re
 import pytest
 import yaml
 
-from pipelines import home, jobs, mlflow_server, sensors, shared_store, watching
+from pipelines import home, jobs
+from pipelines import watched_folders as watching
+from pipelines.automation import sensors
+from pipelines.storage import shared_store
+from pipelines.tracking import mlflow_server
 
 ROOT = pathlib.Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"

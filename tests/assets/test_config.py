@@ -7,7 +7,7 @@ import pytest
 
 from assets.config import configurable
 from deltasafe.errors import SettingsError
-from deltasafe.perception.augmentation.settings import AugmentationSettings
+from deltasafe.perception.data.augmentation.settings import AugmentationSettings
 from deltasafe.perception.settings import NetworkSettings, TrainingSettings
 from deltasafe.presets import PRESETS
 

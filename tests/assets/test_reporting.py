@@ -69,7 +69,7 @@ def test_a_digest_stands_for_names_and_contents(tmp_path):
     assert folder_facts(tmp_path / "one", "known")["digest"] == "known"
 
 
-def test_a_plot_keeps_its_lettering_and_a_photograph_its_colours(tmp_path):
+def test_a_plot_keeps_its_lettering_and_a_photograph_its_colors(tmp_path):
     x, y = np.meshgrid(np.arange(1200), np.arange(900))
     smooth = np.stack([127 + 120 * np.sin(x / 90), 127 + 120 * np.cos(y / 70), 127 + 120 * np.sin((x + y) / 110)], -1)
     noisy = np.clip(smooth + np.random.default_rng(0).normal(0, 25, smooth.shape), 0, 255)

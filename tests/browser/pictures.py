@@ -1,4 +1,4 @@
-"""`make pictures`: the UI for the README, as it shows what the home holds. Materialises nothing."""
+"""`make pictures`: the UI for the README, as it shows what the home holds. Materializes nothing."""
 
 import argparse
 import os
@@ -44,8 +44,8 @@ def main():
             browser.close()
     for name in ("graph", "report"):
         with Image.open(out / f"{name}.png") as opened:
-            few_colours = opened.convert("RGB").quantize(255, dither=Image.Dither.NONE)
-        few_colours.save(out / f"{name}.png", optimize=True)
+            few_colors = opened.convert("RGB").quantize(255, dither=Image.Dither.NONE)
+        few_colors.save(out / f"{name}.png", optimize=True)
         print(out / f"{name}.png")
     return 0
 

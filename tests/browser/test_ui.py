@@ -50,7 +50,7 @@ def outcome(tab, screenshot):
     link(tab, "everything").click()
     button(tab, "Materialize all").click()
     dialog_of(tab).get_by_role("button", name="All", exact=True).click()
-    screenshot("materialise")
+    screenshot("materialize")
     dialog_of(tab).get_by_role("button", name="Launch backfill").click()
     dialog_of(tab).wait_for(state="detached")
     navigate(tab, "Runs")
@@ -67,7 +67,7 @@ def gate(miou):
 
 
 def end_of_a_run_with(page, miou):
-    """Of the calibration report, materialised with that gate."""
+    """Of the calibration report, materialized with that gate."""
     open_asset(page, "calibration_report")
     launchpad = open_launchpad(page)
     configure(page, gate(miou))
@@ -85,7 +85,7 @@ def test_a_newcomer_finds_the_chain_and_its_groups(page, screenshot):
         screenshot(f"catalog-{group}")
 
 
-def test_the_chain_is_materialised_by_clicks(outcome):
+def test_the_chain_is_materialized_by_clicks(outcome):
     assert outcome == "Success"
 
 

@@ -16,10 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deltasafe.errors import ArtifactError, SettingsError
-from deltasafe.perception.artifact import freeze_ensemble, load_ensemble
-from deltasafe.perception.member import Member
-from deltasafe.perception.network import build_network
+from deltasafe.perception.artifact.frozen_ensemble import freeze_ensemble, load_ensemble
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
+from deltasafe.perception.training.member import Member
+from deltasafe.perception.training.network import build_network
 from deltasafe.planning import PlannedMotion
 from tests.ensembles import CALIBRATION, freeze_constant
 
@@ -87,7 +87,7 @@ def call(monkeypatch, tmp_path):
 @pytest.mark.parametrize("size", [(48, 64), (72, 96), (120, 160)])
 def test_numpy_and_onnxruntime_say_what_deltasafe_says(numpy_alone, frozen, size):
     rgb = image(*size, seed=1)
-    expected = load_ensemble(frozen, engine="torch").p_occupied(rgb)
+    expected = load_ensemble(frozen, backend="torch").p_occupied(rgb)
     found = numpy_alone.HandEnsemble(frozen).p_occupied(rgb)
     assert (found.shape, found.dtype) == (size, np.float32)
     assert np.ptp(expected) > 0.01, "there is something to see"

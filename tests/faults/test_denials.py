@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 from deltasafe.errors import WriteError
-from deltasafe.storage import write_json
+from deltasafe.io.storage import write_json
 from faults.denials import deny, no_permission, no_room
 from faults.killing import Writer
 from faults.sets import tiny_hands

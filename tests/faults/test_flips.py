@@ -4,7 +4,7 @@ import pathlib
 
 import pytest
 
-from deltasafe.perception.artifact import load_ensemble
+from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
 from faults.ensemble import tiny_ensemble
 from faults.flips import EnteredError, exchange_files, flip_bytes, nothing_is_made, resize_files
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from deltasafe.storage import atomic_file
+from deltasafe.io.storage import atomic_file
 from faults.killing import Writer
 from faults.kills import kill_writer
 from faults.sets import tiny_hands

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pipelines.home import tracking_uri
-from pipelines.io import FolderPointers
-from pipelines.mlflow_records import CHAMPION, EXPERIMENT, MODEL_NAME
+from pipelines.storage.io_manager import FolderPointers
+from pipelines.tracking.mlflow_records import CHAMPION, EXPERIMENT, MODEL_NAME
 
 ROOT = pathlib.Path(__file__).parents[2]
 
@@ -39,7 +39,7 @@ def home(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def demo(home):
-    finished = run(home, "-m", "pipelines.demo")
+    finished = run(home, "-m", "pipelines.commands.demo")
     assert finished.returncode == 0, finished.stdout[-2000:] + finished.stderr[-6000:]
     return finished
 
@@ -64,7 +64,7 @@ def test_nothing_half_written_is_left(home, demo):
 
 
 def test_every_original_became_as_many_images_as_asked(folder):
-    from deltasafe.perception.augmented_set import AugmentedSet
+    from deltasafe.perception.data.augmented_set import AugmentedSet
     from deltasafe.presets import PRESETS
 
     data = AugmentedSet.load(folder("augmented_hands"))
@@ -74,7 +74,7 @@ def test_every_original_became_as_many_images_as_asked(folder):
 def test_members_differ_and_are_recorded(home, folder):
     from mlflow import MlflowClient
 
-    from deltasafe.perception.member import Member
+    from deltasafe.perception.training.member import Member
 
     first, second = (Member.load(folder("ensemble_member", f"member_{m:02d}")) for m in range(2))
     assert first.record["weights_sha256"] != second.record["weights_sha256"]
@@ -119,7 +119,7 @@ def test_motions_are_those_of_the_ensemble_in_use(folder):
 
 
 def test_the_report_judges_all_pixels_of_all_test_images(folder):
-    from deltasafe.perception.calibration_report import CalibrationReport
+    from deltasafe.perception.calibration.report import CalibrationReport
 
     report = CalibrationReport.load(folder("calibration_report"))
     assert report.n_pixels == 50 * 384 * 288

@@ -101,12 +101,12 @@ def test_a_failed_gate_keeps_the_ensemble_from_being_frozen(tmp_path):
     import numpy as np
 
     from assets.checks import may_be_frozen
-    from deltasafe.perception.calibration_writing import write_calibration_report
-    from deltasafe.perception.evaluation import calibrate
+    from deltasafe.perception.calibration.evaluation import evaluate
+    from deltasafe.perception.calibration.write_report import write_calibration_report
 
     masks = [np.eye(16, dtype=bool), ~np.eye(16, dtype=bool)]
     wrong = [np.where(mask, 0.01, 0.99)[None].astype(np.float32) for mask in masks]
-    report = calibrate(["a", "b"], masks, wrong)
+    report = evaluate(["a", "b"], masks, wrong)
     write_calibration_report(tmp_path / "report", report, labels=masks, predictions=wrong)
 
     class Returns(dg.ConfigurableIOManager):
@@ -183,7 +183,7 @@ FINE = {
 )
 def test_the_last_checks_fail_for_what_they_are_about(tmp_path, change, safe, tracked):
     from assets.checks import executions_were_safe, tracking_kept_its_bound
-    from deltasafe.storage import write_json
+    from deltasafe.io.storage import write_json
 
     write_json(tmp_path / "report.json", {"figures": {**FINE, **change}})
     assert executions_were_safe(tmp_path).passed == safe
@@ -196,7 +196,7 @@ def test_a_member_that_did_not_learn_is_found_and_named_in_its_partition(tmp_pat
 
     from assets.checks import learned
     from assets.perception import members
-    from deltasafe.perception.member import Member
+    from deltasafe.perception.training.member import Member
 
     first, second = members.get_partition_keys()[:2]
     for name, losses in {first: [1.0 - 0.009 * step for step in range(100)], second: [0.7] * 100}.items():
@@ -244,20 +244,20 @@ def test_a_member_that_did_not_learn_is_found_and_named_in_its_partition(tmp_pat
 )
 def test_a_wrong_setting_is_refused_before_anything_runs(tmp_path, step, config, told):
     """The first step that asks for the store says so, though the setting is meant for a much later one."""
-    from pipelines.launch_check import wrong_settings
+    from pipelines.automation.launch_check import wrong_settings
 
     assert re.search(told, wrong_settings({"ops": {step: {"config": config}}}))
 
 
 def test_a_run_with_a_wrong_setting_computes_nothing(tmp_path):
-    from assets.operation import TWICE_MORE, fails_for_good
     from assets.perception import champion
+    from assets.policies import RETRY_TWICE, no_retry
     from pipelines.resources import StoreResource
 
     reached = []
 
-    @dg.asset(retry_policy=TWICE_MORE)
-    @fails_for_good
+    @dg.asset(retry_policy=RETRY_TWICE)
+    @no_retry
     def test_hands(store: dg.ResourceParam[Store]):
         reached.append(store)
 
@@ -279,20 +279,20 @@ def test_every_asset_that_writes_refuses_such_a_run(defs):
 
 
 def test_settings_that_are_fine_pass_the_same_look():
-    from pipelines.launch_check import wrong_settings
+    from pipelines.automation.launch_check import wrong_settings
 
     fine = {"ensemble_member": {"config": {"training": {"epochs": 3}}}, "raw_hands": {}}
     assert wrong_settings({"ops": fine}) == ""
 
 
 def test_bad_input_is_not_tried_again_and_bad_luck_is():
-    from assets.operation import fails_for_good
+    from assets.policies import no_retry
     from deltasafe.errors import DataError, WorkerLostError
 
     tries = []
 
     @dg.asset(retry_policy=dg.RetryPolicy(max_retries=2))
-    @fails_for_good
+    @no_retry
     def reader(context: dg.AssetExecutionContext):
         tries.append(context.retry_number)
         raise error

@@ -7,9 +7,9 @@ import dagster as dg
 import pytest
 
 from deltasafe.errors import DataError, SettingsError
+from pipelines.automation.lost_runs import fail_lost_runs
 from pipelines.home import DATABASE_VARIABLE, prepare_home
-from pipelines.lost_runs import fail_lost_runs
-from pipelines.machines import MACHINE_TAG, with_machine
+from pipelines.run_owner import MACHINE_TAG, with_machine
 
 ADDRESS = "postgresql+psycopg2://user:secret@127.0.0.1:1/dagster"
 

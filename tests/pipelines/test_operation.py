@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deltasafe.errors import DataError
-from deltasafe.storage import read_json
+from deltasafe.io.storage import read_json
 from pipelines import operation
-from pipelines.orchestration import outside_of, times_of_run
-from pipelines.tracking import MlflowTracker
+from pipelines.commands.orchestration import outside_of, times_of_run
+from pipelines.tracking.tracker import MlflowTracker
 
 WHOLE = 20
 intervals = st.tuples(st.integers(-5, WHOLE + 5), st.integers(0, 10)).map(lambda pair: (pair[0], pair[0] + pair[1]))

@@ -1,4 +1,4 @@
-"""The engine as it is chosen; and where ray is installed, a study on a cluster of two hosts, killed in the middle."""
+"""The executor as it is chosen; and where ray is installed, a study on a cluster of two hosts, killed in the middle."""
 
 import importlib.util
 import json
@@ -9,10 +9,10 @@ import sys
 
 import pytest
 
-from deltasafe.engine import LOCAL
+from deltasafe.compute.executor import LOCAL
+from deltasafe.compute.ray_executor import RayExecutor, RaySettings
 from deltasafe.errors import SettingsError
-from deltasafe.ray_engine import RayEngine, RaySettings
-from pipelines.engines import ADDRESS, CPUS, ENGINE, GPUS, STEPS, EngineResource, steps_on_ray
+from pipelines.executors import ADDRESS, CPUS, EXECUTOR, GPUS, STEPS, ExecutorResource, steps_on_ray
 
 ROOT = pathlib.Path(__file__).parents[2]
 installed = pytest.mark.skipif(
@@ -22,21 +22,23 @@ installed = pytest.mark.skipif(
 
 
 def test_one_machine_is_the_default():
-    assert EngineResource.chosen({}).engine() is LOCAL
+    assert ExecutorResource.chosen({}).executor() is LOCAL
     assert steps_on_ray({}) is None
 
 
 @installed
 def test_a_cluster_is_chosen_by_the_environment():
-    engine = EngineResource.chosen({ENGINE: "ray", ADDRESS: "ray://head:10001", GPUS: "0.5", CPUS: "4"}).engine()
-    assert engine.settings == RaySettings("ray://head:10001", 4, 0.5)
-    assert engine.rounds(7, 2) == [(7, 4)]
-    assert steps_on_ray({ENGINE: "ray", STEPS: "ray"}).name == "ray"
+    executor = ExecutorResource.chosen(
+        {EXECUTOR: "ray", ADDRESS: "ray://head:10001", GPUS: "0.5", CPUS: "4"}
+    ).executor()
+    assert executor.settings == RaySettings("ray://head:10001", 4, 0.5)
+    assert executor.rounds(7, 2) == [(7, 4)]
+    assert steps_on_ray({EXECUTOR: "ray", STEPS: "ray"}).name == "ray"
 
 
 @installed
 def test_steps_on_a_cluster_hold_no_core_and_are_told_no_secrets(monkeypatch):
-    import pipelines.engines as module
+    import pipelines.executors as module
 
     class Listener:
         def configured(self, config):
@@ -44,7 +46,7 @@ def test_steps_on_a_cluster_hold_no_core_and_are_told_no_secrets(monkeypatch):
 
     monkeypatch.setattr("dagster_ray.ray_executor", Listener())
     environment = {
-        ENGINE: "ray",
+        EXECUTOR: "ray",
         STEPS: "ray",
         "AWS_SECRET_ACCESS_KEY": "hush",
         "DAGSTER_HOME": "there",
@@ -52,7 +54,7 @@ def test_steps_on_a_cluster_hold_no_core_and_are_told_no_secrets(monkeypatch):
     }
     found = module.steps_on_ray(environment)["ray"]
     *names, path, modules = found["env_vars"]
-    assert set(names) == {ENGINE, STEPS, "DAGSTER_HOME"}
+    assert set(names) == {EXECUTOR, STEPS, "DAGSTER_HOME"}
     assert path == f"PATH={pathlib.Path(sys.executable).parent}:/bin", "where steps find dagster"
     assert modules == f"PYTHONPATH={ROOT}", "and where they find the assets"
     assert not {"num_cpus", "num_gpus"} & set(found), "in the executor's own configuration they would win over tags"
@@ -61,7 +63,7 @@ def test_steps_on_a_cluster_hold_no_core_and_are_told_no_secrets(monkeypatch):
 @pytest.mark.parametrize(
     ("environment", "told"),
     [
-        ({ENGINE: "dask"}, "local or ray, got 'dask'"),
+        ({EXECUTOR: "dask"}, "local or ray, got 'dask'"),
         ({ADDRESS: "nowhere"}, "got 'nowhere'"),
         ({ADDRESS: "http://head:8265"}, "auto, host:port"),
         ({GPUS: "1.5"}, r"gpus_per_member must lie in \[0, 1\]"),
@@ -73,10 +75,10 @@ def test_steps_on_a_cluster_hold_no_core_and_are_told_no_secrets(monkeypatch):
 )
 def test_wrong_values_are_refused_before_anything_runs(environment, told):
     with pytest.raises(SettingsError, match=told):
-        EngineResource.chosen(environment).engine()
+        ExecutorResource.chosen(environment).executor()
 
 
-@pytest.mark.parametrize("environment", [{STEPS: "moon"}, {STEPS: "ray"}, {STEPS: "ray", ENGINE: "local"}])
+@pytest.mark.parametrize("environment", [{STEPS: "moon"}, {STEPS: "ray"}, {STEPS: "ray", EXECUTOR: "local"}])
 def test_steps_elsewhere_need_an_engine_elsewhere(environment):
     with pytest.raises(SettingsError, match=STEPS):
         steps_on_ray(environment)
@@ -85,9 +87,9 @@ def test_steps_elsewhere_need_an_engine_elsewhere(environment):
 def test_an_engine_that_is_not_installed_says_how_it_would_be(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(SettingsError, match=r"deltasafe\[ray\]"):
-        RayEngine()
+        RayExecutor()
     with pytest.raises(SettingsError, match="cluster"):
-        steps_on_ray({ENGINE: "ray", STEPS: "ray"})
+        steps_on_ray({EXECUTOR: "ray", STEPS: "ray"})
 
 
 @installed
@@ -119,9 +121,9 @@ def test_what_tasks_report_and_raise_comes_back(tmp_path):
 
 
 REPORTING = """
-from deltasafe.engine import Needs, Task
+from deltasafe.compute.executor import Needs, Task
 from deltasafe.errors import DataError, WorkerLostError
-from deltasafe.ray_engine import RayEngine, RaySettings
+from deltasafe.compute.ray_executor import RayExecutor, RaySettings
 from pipelines.local_cluster import LocalCluster, apart
 
 def speak(tell, name):
@@ -137,12 +139,12 @@ def die(times):
     import os, signal
     os.kill(os.getpid(), signal.SIGKILL)
 
-def try_all(engine):
+def try_all(executor):
     import reporting  # functions are found by the name of their module
 
     heard = []
     tasks = [Task(name, reporting.speak, (name,)) for name in "ab"]
-    found = dict(engine.run(tasks, 1, Needs(threads=2), heard.append))
+    found = dict(executor.run(tasks, 1, Needs(threads=2), heard.append))
     assert found == {0: "2", 1: "2"}, found
     assert sorted(heard) == [(name, number) for name in "ab" for number in range(3)], heard
     for name, work, kind, words in (
@@ -150,7 +152,7 @@ def try_all(engine):
         ("deadly", reporting.die, WorkerLostError, "deadly: the process"),
     ):
         try:
-            dict(engine.run([Task(name, work, ("some/file",))], 1))
+            dict(executor.run([Task(name, work, ("some/file",))], 1))
         except kind as error:
             assert type(error) is kind and words in str(error), error
         else:
@@ -160,9 +162,9 @@ if __name__ == "__main__":
     apart("reporting", [])
     with LocalCluster(jobs=False) as cluster:
         cluster.add_host(cores=2)
-        engine = RayEngine(RaySettings(cluster.address))
+        executor = RayExecutor(RaySettings(cluster.address))
         try:
-            try_all(engine)
+            try_all(executor)
         finally:
-            engine.disconnect()  # which would else end this process once the cluster is gone
+            executor.disconnect()  # which would else end this process once the cluster is gone
 """

@@ -1,6 +1,6 @@
 import pytest
 
-from deltasafe.storage import write_json
+from deltasafe.io.storage import write_json
 from pipelines import results_page
 from pipelines.results_page import LINES, Line
 

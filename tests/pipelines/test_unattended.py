@@ -12,12 +12,12 @@ import dagster as dg
 import pytest
 from dagster._core.definitions.run_request import InstigatorType
 
+from pipelines.automation.sensors import INTERVAL_VARIABLE
 from pipelines.home import DATASETS, prepare_home
-from pipelines.io import FolderPointers
 from pipelines.jobs import UNATTENDED_VARIABLE
-from pipelines.mlflow_records import CHAMPION
-from pipelines.sensors import INTERVAL_VARIABLE
-from pipelines.tracking import MlflowTracker
+from pipelines.storage.io_manager import FolderPointers
+from pipelines.tracking.mlflow_records import CHAMPION
+from pipelines.tracking.tracker import MlflowTracker
 from tests.ensembles import freeze_constant
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -26,7 +26,7 @@ SCENES = dg.AssetKey("logged_scenes")
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    """A home with an ensemble in use, chosen scenes, and labelled images of which one is defective."""
+    """A home with an ensemble in use, chosen scenes, and labeled images of which one is defective."""
     from deltasafe.trials.selection import select_scenes
 
     for name in ("DELTASAFE_HOME", "DAGSTER_HOME"):
@@ -94,7 +94,7 @@ def test_a_changed_image_becomes_a_new_challenger_and_what_follows_is_made_again
         return runs[0] if runs else None
 
     run = wait_for(trained, daemon, instance)
-    assert run.tags["dagster/sensor_name"] == "labelled_images"
+    assert run.tags["dagster/sensor_name"] == "labeled_images"
     with MlflowTracker(root).records() as records:
         newest = records.versions()[0]
     assert newest.tags["dagster_run_id"] == run.run_id

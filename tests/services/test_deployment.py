@@ -16,11 +16,11 @@ import urllib.request
 import pytest
 import yaml
 
-from deltasafe.processes import stop_session
+from deltasafe.compute.processes import stop_session
 from pipelines.home import DATABASE_VARIABLE
-from pipelines.machines import MACHINE_TAG
-from pipelines.mlflow_server import ARTIFACTS_VARIABLE, BACKEND_VARIABLE
-from pipelines.shared_store import STORE_VARIABLE, SharedStore
+from pipelines.run_owner import MACHINE_TAG
+from pipelines.storage.shared_store import STORE_VARIABLE, SharedStore
+from pipelines.tracking.mlflow_server import ARTIFACTS_VARIABLE, BACKEND_VARIABLE
 from tests.loopback import answers, free_ports
 from tests.services.servers import PASSWORD, SECRET
 

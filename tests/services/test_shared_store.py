@@ -7,11 +7,11 @@ import dagster as dg
 import pytest
 
 from deltasafe.errors import DataError, SettingsError
-from pipelines import shared_store
 from pipelines.home import DATASETS
-from pipelines.io import FolderPointers
 from pipelines.resources import StoreResource
-from pipelines.shared_store import STORE_VARIABLE, ObjectError, SharedStore, StoreAwayError, chosen_store
+from pipelines.storage import shared_store
+from pipelines.storage.io_manager import FolderPointers
+from pipelines.storage.shared_store import STORE_VARIABLE, ObjectError, SharedStore, StoreAwayError, chosen_store
 
 pytest.importorskip("tenacity", reason="make services-test installs it")
 
@@ -119,7 +119,7 @@ def test_a_missing_object_and_a_damaged_manifest_are_named(store, tmp_path):
     store._files.pipe_file(pointer, b"{")
     with pytest.raises(ObjectError, match="is not valid JSON"):
         pointers(tmp_path / "other").folder(KEY)
-    with pytest.raises(DataError, match="materialise never first"):
+    with pytest.raises(DataError, match="materialize never first"):
         pointers(tmp_path).folder(dg.AssetKey("never"))
 
 
@@ -131,7 +131,7 @@ def test_names_that_lead_out_of_the_folder_are_refused(store, tmp_path):
             store.fetch(digest, tmp_path / "home" / "x")
     for elsewhere in ("../elsewhere", "incoming/hands", "store/../champion.json"):
         store.write_json("pointers/current/made.json", {"folder": elsewhere, "manifest": digest})
-        with pytest.raises(ObjectError, match="where nothing is ever put; materialise made again"):
+        with pytest.raises(ObjectError, match="where nothing is ever put; materialize made again"):
             pointers(tmp_path / "home").folder(KEY)
 
 

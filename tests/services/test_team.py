@@ -11,14 +11,14 @@ import time
 import dagster as dg
 import pytest
 
-from deltasafe.processes import stop_session
-from pipelines import shared_store
+from deltasafe.compute.processes import stop_session
 from pipelines.home import DATABASE_VARIABLE, TRACKING_VARIABLE, prepare_home
-from pipelines.io import FolderPointers
-from pipelines.mlflow_server import ARTIFACTS_VARIABLE, BACKEND_VARIABLE, mlflow_command
-from pipelines.registry import EnsembleRegistry
-from pipelines.shared_store import STORE_VARIABLE, ObjectError, StoreAwayError, chosen_store, manifest_of_folder
-from pipelines.tracking import MlflowTracker
+from pipelines.storage import shared_store
+from pipelines.storage.io_manager import FolderPointers
+from pipelines.storage.shared_store import STORE_VARIABLE, ObjectError, StoreAwayError, chosen_store, manifest_of_folder
+from pipelines.tracking.mlflow_server import ARTIFACTS_VARIABLE, BACKEND_VARIABLE, mlflow_command
+from pipelines.tracking.registry import EnsembleRegistry
+from pipelines.tracking.tracker import MlflowTracker
 from tests.ensembles import freeze_constant
 from tests.loopback import answers, free_ports
 from tests.services.servers import PASSWORD, SECRET

@@ -60,5 +60,5 @@ def test_speed_is_that_of_the_position_alone():
 
 @pytest.mark.parametrize("far", [(1e300, 0.0, 0.0), (0.0, -2000.0, 0.0), (0.0, 0.0, 0.0, 1e9)])
 def test_a_pose_farther_than_any_robot_is_refused(far):
-    with pytest.raises(SettingsError, match="within 1000 metres"):
+    with pytest.raises(SettingsError, match="within 1000 meters"):
         Pose(*far)

@@ -19,7 +19,7 @@ def quintic(start, goal, duration_s, period_s=1e-3):
     return Trajectory(time_s, poses, velocities)
 
 
-def ball(centre_m, radius_m, rings=24):
+def ball(center_m, radius_m, rings=24):
     """A closed triangle mesh on a sphere."""
     theta = np.pi * np.arange(1, rings) / rings
     phi = np.pi * np.arange(2 * rings) / rings
@@ -31,7 +31,7 @@ def ball(centre_m, radius_m, rings=24):
         ],
         axis=-1,
     ).reshape(-1, 3)
-    vertices = np.concatenate([grid, [[0, 0, 1.0], [0, 0, -1.0]]]) * radius_m + np.asarray(centre_m)
+    vertices = np.concatenate([grid, [[0, 0, 1.0], [0, 0, -1.0]]]) * radius_m + np.asarray(center_m)
     count, top, bottom = len(phi), len(grid), len(grid) + 1
     triangles = []
     for k in range(count):

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution.distance import MeshDistance
-from deltasafe.execution.safety import body_points
+from deltasafe.execution.verdict import body_points
 from deltasafe.planning.body import ToolBody
 from tests.unit.execution.conftest import ball
 
@@ -55,7 +55,7 @@ def test_closed_forms_over_a_triangle():
 
 
 def test_the_triangle_between_its_corners_counts():
-    """A large triangle whose corners and centre are all far from the tool."""
+    """A large triangle whose corners and center are all far from the tool."""
     corners = np.array([[-0.5, -0.03, 0.0], [0.5, -0.03, 0.0], [0.0, -1.0, 0.0]])
     mesh = MeshDistance(corners, np.array([[0, 1, 2]]))
     assert mesh.to_tool(BODY, np.array([0.3, 0.02, 0.0]), np.eye(3)) == pytest.approx(0.05 - 0.015, abs=1e-6)
@@ -63,8 +63,8 @@ def test_the_triangle_between_its_corners_counts():
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_against_a_general_optimiser(seed):
-    """One triangle against the disc, minimised over both by SLSQP: no shared code, no sampling."""
+def test_against_a_general_optimizer(seed):
+    """One triangle against the disc, minimized over both by SLSQP: no shared code, no sampling."""
     rng = np.random.default_rng(seed)
     corners = rng.uniform(-0.1, 0.1, (3, 3)) + np.array([0.2, 0.0, -0.2])
     distance = MeshDistance(corners, np.array([[0, 1, 2]])).to_tool(BODY, np.zeros(3), np.eye(3))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deltasafe.errors import SettingsError
-from deltasafe.execution.dynamics import ChainModel, placed_tool, rigid_body
+from deltasafe.execution.dynamics import ChainModel, forward_kinematics, rigid_body
 from deltasafe.execution.iiwa import World
 from deltasafe.execution.kinematics import ArmMount, IiwaKinematics
 from tests.unit.execution.conftest import BODY
@@ -51,7 +51,7 @@ def test_jacobian_drift_and_tool_are_those_of_the_closed_form_kinematics(world):
         theirs, their_drift = kinematics.differential(q, q_dot)
         np.testing.assert_allclose(jacobian, theirs, atol=1e-9)
         np.testing.assert_allclose(drift, their_drift, atol=1e-9)
-        position, (x, y, z, w) = placed_tool(world.model, q)
+        position, (x, y, z, w) = forward_kinematics(world.model, q)
         np.testing.assert_allclose(position, kinematics.tool_position_m(q[None])[0], atol=1e-9)
         shaft = [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)]
         np.testing.assert_allclose(shaft, kinematics.forward(q[None])[3][0, :, 2], atol=1e-9)
@@ -83,7 +83,7 @@ def test_a_pendulum_with_a_welded_bob_in_closed_form():
     np.testing.assert_allclose(drift[:3], 0.6 * rate**2 * np.array([np.sin(angle), 0, np.cos(angle)]), atol=1e-12)
 
 
-def test_only_chains_of_revolute_joints_are_modelled():
+def test_only_chains_of_revolute_joints_are_modeled():
     with pytest.raises(SettingsError, match="prismatic"):
         ChainModel.from_urdf(
             ET.fromstring(PENDULUM.replace("revolute", "prismatic")), np.eye(3), np.zeros(3), (0, 0, 0)

@@ -8,7 +8,7 @@ from deltasafe.execution import ExecutionSettings, execute
 from deltasafe.execution.iiwa import IiwaArm, JointFriction
 from deltasafe.execution.iiwa_view import ArmView, Viewpoint
 from deltasafe.execution.kinematics import IIWA14_LIMITS
-from deltasafe.planning.tracking import TrackingBound
+from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene.camera import Camera
 from tests.unit.execution.conftest import BODY, quintic
 

@@ -23,10 +23,10 @@ from deltasafe.execution.arm import ArmState
 from deltasafe.execution.impedance import TaskReference
 from deltasafe.execution.kinematics import IIWA14_LIMITS
 from deltasafe.execution.monitor import Monitor
-from deltasafe.planning import CheckSettings, SafetyField, body_clearance_m, is_segment_safe, segment_test
-from deltasafe.planning.tracking import TrackingBound
+from deltasafe.planning import CheckSettings, DistanceField, body_clearance_m, is_segment_safe, segment_test
+from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene import OccupancyGrid, Sphere, grid_from_shapes
-from deltasafe.scene.sighting import Sighting
+from deltasafe.scene.image_stamp import ImageStamp
 from tests.unit.execution.conftest import BODY, quintic
 
 SETTINGS = ExecutionSettings(approach_m=0.02, settle_s=0.1)
@@ -93,7 +93,7 @@ def test_leaving_what_is_known_to_be_free_stops_the_arm_within_its_tracking_boun
     bound, push = TrackingBound(0.02, 0.0), Push((0.0, 40.0, 0.0), 0.9, 0.4, 8)
 
     def go(p_occupied, *disturbances):
-        field = SafetyField.build(OccupancyGrid(p_occupied, np.array([-0.2, -0.12, 0.0]), 0.002), 0.05)
+        field = DistanceField.build(OccupancyGrid(p_occupied, np.array([-0.2, -0.12, 0.0]), 0.002), 0.05)
         make_arm = iiwa_for(BODY, None, 0.0, disturbances)
         return execute(straight, None, BODY, SETTINGS, 3, bound=bound, field=field, make_arm=make_arm)
 
@@ -107,7 +107,7 @@ def test_leaving_what_is_known_to_be_free_stops_the_arm_within_its_tracking_boun
 def test_where_the_planner_may_go_the_monitor_stops_nothing_and_no_farther_than_the_margin():
     """The planner's test shows more than the bound of a single pose does: both count, and the truth limits them."""
     grid = grid_from_shapes([Sphere((0, 0, 0.05), 0.02)], 0.01, (-0.1, -0.1, 0.0), (0.1, 0.1, 0.12), 0.005)
-    field, bound, limits = SafetyField.build(grid, 0.05), TrackingBound(0.002, 0.0), IIWA14_LIMITS
+    field, bound, limits = DistanceField.build(grid, 0.05), TrackingBound(0.002, 0.0), IIWA14_LIMITS
     planned = segment_test(field, BODY, 0.002, CheckSettings())
     monitor = Monitor(bound, dataclasses.replace(SETTINGS, monitor_margin_m=0.05), limits, BODY, field, None)
     rng, only_by_the_test, zero = np.random.default_rng(0), 0, np.zeros(7)
@@ -128,7 +128,7 @@ def test_where_the_planner_may_go_the_monitor_stops_nothing_and_no_farther_than_
 
 
 def sighting(number, taken_s):
-    return Sighting.of(np.full((2, 2, 3), number, np.uint8), taken_s)
+    return ImageStamp.of(np.full((2, 2, 3), number, np.uint8), taken_s)
 
 
 def watch(newest, starts_s=10.0):
@@ -189,7 +189,7 @@ def test_disturbances_are_validated():
         lambda: Push((1.0, 0.0, 0.0), 0.0, 0.0),
         lambda: Push((1.0, 0.0, 0.0), 0.0, 1.0, 9),
         lambda: Payload(0.0),
-        lambda: Sighting("abc"),
+        lambda: ImageStamp("abc"),
         lambda: ExecutionSettings(brake_delay_s=-1),
         lambda: ExecutionSettings(max_frame_age_s=0),
     ):

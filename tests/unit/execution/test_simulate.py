@@ -7,7 +7,7 @@ import pytest
 
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.execution import PHASES, Execution, ExecutionSettings, FloatingTool, execute
-from deltasafe.planning.tracking import TrackingBound
+from deltasafe.planning.tracking_bound import TrackingBound
 from tests.unit.execution.conftest import BODY, quintic
 
 START, GOAL = (-0.05, 0.0, 0.12, 0.0), (0.05, 0.02, 0.12, 0.6)

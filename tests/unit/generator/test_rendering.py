@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from deltasafe.errors import SettingsError
-from deltasafe.perception.hands import HandSet
+from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.scene import LoggedScene
-from generator import TEST_LIKE, SceneSettings, Surroundings, draw_hand, make_hands, make_scenes
+from generator import TEST_LIKE, CollisionArrays, SceneSettings, draw_hand, make_hands, make_scenes
 from generator.backend import load_mitsuba
 from generator.mask import iou, silhouette
 from generator.staging import place_hand, set_stage
@@ -37,7 +37,7 @@ def test_the_same_seed_gives_the_same_bytes_in_another_process(tmp_path):
     subprocess.run([sys.executable, "-c", program], check=True)
     for name in ("images/hand_0000.jpg", "masks/hand_0000.png", "recipes/hand_0000.json", "registry.sha256"):
         assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes(), name
-    assert HandSet.load(tmp_path / "here").digest == HandSet.load(tmp_path / "there").digest
+    assert LabeledImageSet.load(tmp_path / "here").digest == LabeledImageSet.load(tmp_path / "there").digest
 
 
 def test_a_scene_is_consistent_with_its_true_mesh(tmp_path):
@@ -61,9 +61,9 @@ def test_coverage_is_the_projected_hand_wherever_the_camera_stands():
     renderer = Renderer()
     for place, index in (("desk", 0), ("wall", 1)):
         settings = dataclasses.replace(TEST_LIKE, places=(place,), shares=(1.0,), worn=False)
-        recipe = draw_hand(settings, Surroundings(), index)
+        recipe = draw_hand(settings, CollisionArrays(), index)
         hand = place_hand(recipe)
-        stage = set_stage(recipe, Surroundings(), hand, 160, 120)
+        stage = set_stage(recipe, CollisionArrays(), hand, 160, 120)
         coverage = renderer.coverage(stage, seed=0)
         assert coverage.min() >= 0
         assert coverage.max() <= 1 + 1e-6

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from deltasafe.errors import DataError
-from deltasafe.perception.hands import HandSet
+from deltasafe.io.storage import read_json
+from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.scene import load_scenes
-from deltasafe.storage import read_json
 from generator import (
     TEST_LIKE,
     TRAIN_LIKE,
+    CollisionArrays,
     SceneSettings,
-    Surroundings,
     hand_sets,
     make_hands,
     make_scenes,
@@ -72,7 +72,7 @@ def contents(folder):
 def test_a_set_is_read_by_the_project_and_grows_and_goes_on_without_change(tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     make_hands(whole, 3, SMALL)
-    hands = HandSet.load(whole, whole / "registry.sha256")
+    hands = LabeledImageSet.load(whole, whole / "registry.sha256")
     assert [item.id for item in hands.items] == ["hand_0000", "hand_0001", "hand_0002"]
     assert hands.read(0)[0].shape == (48, 64, 3)
 
@@ -96,7 +96,7 @@ def test_other_settings_or_surroundings_are_refused_before_anything_is_written(t
     (tmp_path / "surfaces").mkdir()
     (tmp_path / "surfaces" / "oak.png").write_bytes(b"")
     with pytest.raises(DataError, match="surroundings"):
-        make_hands(tmp_path / "set", 2, SMALL, Surroundings.find(tmp_path))
+        make_hands(tmp_path / "set", 2, SMALL, CollisionArrays.find(tmp_path))
     assert contents(tmp_path / "set") == before
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
@@ -119,7 +119,7 @@ def test_scenes_are_read_by_the_project_and_agree_with_their_plan(tmp_path):
     make_scenes(tmp_path, 2, SMALL_SCENES, progress=lambda done, total, message: said.append((done, total)))
     assert said == [(0, 2), (1, 2), (2, 2)]
     for index, scene in enumerate(load_scenes(tmp_path)):
-        plan = plan_scene(SMALL_SCENES, Surroundings(), index)
+        plan = plan_scene(SMALL_SCENES, CollisionArrays(), index)
         assert scene.id == f"scene_{index:03d}"
         assert scene.hand_height_m == plan.hand_height_m
         assert (scene.start.x_m, scene.start.y_m, scene.start.z_m) == (-0.15, plan.start_y_m, 0.03)

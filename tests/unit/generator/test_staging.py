@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from deltasafe.errors import SettingsError
-from deltasafe.storage import digest_of
-from generator import TEST_LIKE, TRAIN_LIKE, HandSetSettings, SceneSettings, Surroundings, draw_hand, draw_scene, scenes
+from deltasafe.io.storage import digest_of
+from generator import (
+    TEST_LIKE,
+    TRAIN_LIKE,
+    CollisionArrays,
+    HandSetSettings,
+    SceneSettings,
+    draw_hand,
+    draw_scene,
+    scenes,
+)
 from generator.accessories import ring_shell, strap_shell
 from generator.clutter import scatter_clutter
 from generator.recipe import InAir, OnTable
@@ -20,7 +29,7 @@ from generator.stage import camera_looking_at
 from generator.staging import place_hand, view_of
 from tests.unit.generator.test_surface_mesh import is_watertight, volume
 
-NOTHING = Surroundings()
+NOTHING = CollisionArrays()
 COORDINATES = st.tuples(*[st.floats(-1, 1)] * 3)
 
 

@@ -1,4 +1,4 @@
-"""Surroundings: procedural ones are always there and physical, fetched ones are checked before they are kept."""
+"""CollisionArrays: procedural ones are always there and physical, fetched ones are checked before they are kept."""
 
 import base64
 import gzip
@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from deltasafe.errors import DataError
-from deltasafe.storage import read_json, sha256_of_file
-from generator.surroundings import Surroundings
+from deltasafe.io.storage import read_json, sha256_of_file
+from generator.surroundings import CollisionArrays
 from generator.surroundings import fetch as fetching
 from generator.surroundings.fetch import SOURCES, Source, fetch
 from generator.surroundings.maps import MAPS, procedural_map
@@ -52,7 +52,7 @@ def test_procedural_surfaces_are_albedos_around_their_colour(kind):
 
 
 def test_without_files_all_is_procedural_and_with_files_test_pictures_avoid_what_backgrounds_show(tmp_path):
-    nothing = Surroundings.find(tmp_path / "missing")
+    nothing = CollisionArrays.find(tmp_path / "missing")
     assert set(nothing.map_names) == set(nothing.unseen_map_names) == {f"procedural/{kind}" for kind in MAPS}
     for folder, name in (
         ("maps", "pmndrs-city.exr"),
@@ -62,7 +62,7 @@ def test_without_files_all_is_procedural_and_with_files_test_pictures_avoid_what
     ):
         (tmp_path / folder).mkdir(exist_ok=True)
         (tmp_path / folder / name).touch()
-    found = Surroundings.find(tmp_path)
+    found = CollisionArrays.find(tmp_path)
     assert found.map_names == ("mine", "pmndrs-city")
     assert found.unseen_map_names == ("mine",)
     assert found.surface_names[0] == "oak"
@@ -73,7 +73,7 @@ def test_a_surface_is_read_as_linear_albedo_and_a_broken_one_is_refused(tmp_path
     (tmp_path / "surfaces").mkdir()
     Image.new("RGB", (2048, 8), (128, 255, 0)).save(tmp_path / "surfaces" / "plain.png")
     (tmp_path / "surfaces" / "broken.jpg").write_bytes(b"no picture")
-    surroundings = Surroundings.find(tmp_path)
+    surroundings = CollisionArrays.find(tmp_path)
     texture = surroundings.surface("plain", (0, 0, 0), 0)
     assert texture.shape == (4, 1024, 3)
     assert texture[0, 0] == pytest.approx([0.2158605, 1, 0], abs=1e-6)

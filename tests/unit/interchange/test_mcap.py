@@ -13,7 +13,7 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution import Execution
 from deltasafe.execution.recording import PHASES
 from deltasafe.interchange import export_execution, export_scene, import_execution, import_scene
-from deltasafe.interchange.log import LogWriter, read_log
+from deltasafe.interchange.mcap_log import LogWriter, read_log
 from deltasafe.planning import ToolBody
 from deltasafe.scene import LoggedScene
 

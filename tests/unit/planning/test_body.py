@@ -6,7 +6,7 @@ from scipy.optimize import minimize_scalar
 
 from deltasafe.errors import SettingsError
 from deltasafe.planning import ToolBody
-from deltasafe.planning.cover import distance_to_ellipse
+from deltasafe.planning.disc_cover import distance_to_ellipse
 
 BODIES = [
     ToolBody(),
@@ -43,7 +43,7 @@ def test_distance_to_the_body_in_closed_form() -> None:
 
 @pytest.mark.parametrize("body", BODIES)
 def test_the_cover_contains_the_disc_and_is_tight(body: ToolBody) -> None:
-    centres, radius_m = body.disc_cover
+    centers, radius_m = body.disc_cover
     disc = ToolBody(*[getattr(body, n) for n in ("semi_axis_x_m", "semi_axis_y_m", "thickness_m")], 1e-4, 2e-4)
     rng = np.random.default_rng(0)
     points = disc.samples(0.0, 4000, 1)
@@ -51,10 +51,10 @@ def test_the_cover_contains_the_disc_and_is_tight(body: ToolBody) -> None:
     rim = np.column_stack([body.semi_axis_x_m * np.cos(angle), body.semi_axis_y_m * np.sin(angle)])
     edge = np.column_stack([rim, rng.choice([-1, 1], 2000) * body.thickness_m / 2])
     for part in (points, edge):
-        nearest = np.linalg.norm(part[:, None] - centres[None], axis=2).min(axis=1)
+        nearest = np.linalg.norm(part[:, None] - centers[None], axis=2).min(axis=1)
         assert nearest.max() <= radius_m + 1e-12
     way = rng.normal(size=(300, 3))
-    surface = centres[:, None] + radius_m * (way / np.linalg.norm(way, axis=1)[:, None])[None]
+    surface = centers[:, None] + radius_m * (way / np.linalg.norm(way, axis=1)[:, None])[None]
     assert body.distance_m(surface.reshape(-1, 3)).max() < 0.0025
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deltasafe.planning import CheckSettings, SafetyField, ToolBody, body_clearance_m, is_segment_safe, segment_test
+from deltasafe.planning import CheckSettings, DistanceField, ToolBody, body_clearance_m, is_segment_safe, segment_test
 from deltasafe.scene import OccupancyGrid
 
 BODY = ToolBody()
@@ -26,7 +26,7 @@ def drawn(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def answers(grid: OccupancyGrid, method: str, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    test = segment_test(SafetyField.build(grid, 0.05), BODY, 0.001, CheckSettings(method=method))
+    test = segment_test(DistanceField.build(grid, 0.05), BODY, 0.001, CheckSettings(method=method))
     safe = [is_segment_safe(test, a, b) for a, b in zip(starts, ends, strict=True)]
     return np.array(safe), body_clearance_m(test, starts)
 

@@ -3,7 +3,7 @@ import pathlib
 
 import pytest
 
-from deltasafe import compiling
+from deltasafe.compute import numba_cache as compiling
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.geometry import Pose
 from deltasafe.planning import MotionSettings, PlannedMotion, PlanStatus, plan_motion

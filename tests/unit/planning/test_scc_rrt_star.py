@@ -7,7 +7,7 @@ import pytest
 
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import Pose
-from deltasafe.planning import PlannerSettings, PlanStatus, SafetyField, ToolBody, plan
+from deltasafe.planning import DistanceField, PlannerSettings, PlanStatus, ToolBody, plan
 from deltasafe.scene import Cuboid, OccupancyGrid, Sphere, grid_from_shapes
 
 START, GOAL = Pose(-0.14, 0.0, 0.03), Pose(0.14, 0.0, 0.03)
@@ -23,9 +23,9 @@ def wall(height_m: float, voxel_m: float = 0.005) -> OccupancyGrid:
 def test_returned_paths_hold_no_unsafe_pose(
     seed: int, make_grid: Callable[..., OccupancyGrid], audit: Callable[..., float]
 ) -> None:
-    """Every millimetre, with 4400 points of the enlarged body that share no code with the test."""
+    """Every millimeter, with 4400 points of the enlarged body that share no code with the test."""
     grid = make_grid(seed, count=5)
-    result = plan(START, GOAL, SafetyField.build(grid, 0.05), SETTINGS, seed)
+    result = plan(START, GOAL, DistanceField.build(grid, 0.05), SETTINGS, seed)
     assert result.status is PlanStatus.SOLVED
     assert result.path is not None
     assert audit(grid, 0.05, ToolBody(), result.margin_m, result.path.poses) == 0
@@ -35,7 +35,7 @@ def test_returned_paths_hold_no_unsafe_pose(
 
 def test_a_wall_across_the_view_is_crossed_above_it(audit: Callable[..., float]) -> None:
     grid = wall(0.088)
-    result = plan(START, GOAL, SafetyField.build(grid, 0.05), SETTINGS, 0)
+    result = plan(START, GOAL, DistanceField.build(grid, 0.05), SETTINGS, 0)
     assert result.status is PlanStatus.SOLVED
     assert result.path is not None
     assert result.path.poses[:, 2].max() > 0.09
@@ -43,7 +43,7 @@ def test_a_wall_across_the_view_is_crossed_above_it(audit: Callable[..., float])
 
 
 def test_costs_are_those_of_the_path() -> None:
-    field = SafetyField.build(wall(0.06), 0.05)
+    field = DistanceField.build(wall(0.06), 0.05)
     result = plan(START, GOAL, field, dataclasses.replace(SETTINGS, cost="area"), 0)
     assert result.path is not None
     steps = np.diff(result.path.poses, axis=0)
@@ -65,7 +65,7 @@ def test_costs_are_those_of_the_path() -> None:
     ],
 )
 def test_an_unsafe_end_is_named_with_its_clearance(start: Pose, goal: Pose, status: PlanStatus) -> None:
-    result = plan(start, goal, SafetyField.build(wall(0.06), 0.05), SETTINGS, 0)
+    result = plan(start, goal, DistanceField.build(wall(0.06), 0.05), SETTINGS, 0)
     assert result.status is status
     assert result.path is None
     assert result.clearance_m < result.margin_m
@@ -74,7 +74,7 @@ def test_an_unsafe_end_is_named_with_its_clearance(start: Pose, goal: Pose, stat
 
 def test_no_connection_is_told_from_a_spent_budget() -> None:
     low_ceiling = dataclasses.replace(SETTINGS, z_max_above_field_m=0.001)
-    field = SafetyField.build(wall(0.088, 0.0025), 0.05)
+    field = DistanceField.build(wall(0.088, 0.0025), 0.05)
     assert plan(START, GOAL, field, low_ceiling, 0).status is PlanStatus.NO_CONNECTION
     hurried = dataclasses.replace(SETTINGS, n_iterations=3)
     assert plan(START, GOAL, field, hurried, 0).status is PlanStatus.BUDGET_SPENT
@@ -83,7 +83,7 @@ def test_no_connection_is_told_from_a_spent_budget() -> None:
 def test_the_sampled_method_is_verified_all_the_same() -> None:
     """Few samples miss a thin post in the straight way; the verdict does not."""
     posts = [Sphere((x, 0.0, z), 0.002) for x in (-0.06, 0.0, 0.06) for z in (0.02, 0.03, 0.04)]
-    field = SafetyField.build(grid_from_shapes(posts, 0.0, LOWER, UPPER, 0.0025), 0.05)
+    field = DistanceField.build(grid_from_shapes(posts, 0.0, LOWER, UPPER, 0.0025), 0.05)
     careless = dataclasses.replace(SETTINGS, method="sampled", n_samples=3)
     verdicts = [plan(START, GOAL, field, careless, seed).status for seed in range(4)]
     assert PlanStatus.UNVERIFIED in verdicts
@@ -91,7 +91,7 @@ def test_the_sampled_method_is_verified_all_the_same() -> None:
 
 
 def test_the_same_seed_gives_the_same_path(make_grid: Callable[..., OccupancyGrid]) -> None:
-    field = SafetyField.build(make_grid(3), 0.05)
+    field = DistanceField.build(make_grid(3), 0.05)
     one, two, other = (plan(START, GOAL, field, SETTINGS, seed) for seed in (1, 1, 2))
     assert one.path is not None
     assert two.path is not None
@@ -101,7 +101,7 @@ def test_the_same_seed_gives_the_same_path(make_grid: Callable[..., OccupancyGri
 
 
 def test_yaw_takes_the_short_way_round() -> None:
-    free = SafetyField.build(OccupancyGrid(np.zeros((80, 60, 10), np.float32), np.array(LOWER), 0.005), 0.05)
+    free = DistanceField.build(OccupancyGrid(np.zeros((80, 60, 10), np.float32), np.array(LOWER), 0.005), 0.05)
     result = plan(Pose(-0.1, 0, 0.03, 3.0), Pose(0.1, 0, 0.03, -3.0), free, SETTINGS, 0)
     assert result.path is not None
     np.testing.assert_allclose(result.path.poses[-1, 3], 2 * math.pi - 3.0)
@@ -127,4 +127,4 @@ def test_settings_out_of_domain_are_refused(changes: dict) -> None:
 
 def test_field_and_settings_must_agree_on_delta() -> None:
     with pytest.raises(SettingsError, match="delta"):
-        plan(START, GOAL, SafetyField.build(wall(0.05), 0.1), SETTINGS, 0)
+        plan(START, GOAL, DistanceField.build(wall(0.05), 0.1), SETTINGS, 0)

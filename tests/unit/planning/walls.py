@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from deltasafe.compiling import compiled
+from deltasafe.compute.numba_cache import compiled
 from deltasafe.planning import answers_segments
 
 

@@ -20,8 +20,8 @@ def test_shape_by_shape_is_all_shapes_at_every_voxel(decay_m):
     voxel_m = 0.01
     grid = grid_from_shapes(shapes, decay_m, (0, 0, 0), (0.2, 0.15, 0.1), voxel_m)
     axes = [voxel_m * (np.arange(count) + 0.5) for count in grid.p_occupied.shape]
-    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    expected = p_occupied_near(shapes, decay_m, centres, slack_m=voxel_m * math.sqrt(3) / 2)
+    centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    expected = p_occupied_near(shapes, decay_m, centers, slack_m=voxel_m * math.sqrt(3) / 2)
     np.testing.assert_array_equal(grid.p_occupied.ravel(), expected.astype(np.float32))
     assert 0 < grid.p_occupied.mean() < 1
 

@@ -77,11 +77,11 @@ def test_extrusion_follows_the_rays_and_does_not_swell_them() -> None:
     image = (np.hypot(u - 80, v - 60) <= radius_px).astype(np.float32)
     grid = grid_from_image(image, camera(), 0.0, 0.09, FieldSettings(voxel_m=0.004))
     index = np.argwhere(grid.p_occupied < 2)
-    centres = grid.origin_m + (index + 0.5) * grid.voxel_m
-    cone_m = radius_px / 192.0 * (0.5 - centres[:, 2])
-    off_m = np.hypot(centres[:, 0], centres[:, 1])
+    centers = grid.origin_m + (index + 0.5) * grid.voxel_m
+    cone_m = radius_px / 192.0 * (0.5 - centers[:, 2])
+    off_m = np.hypot(centers[:, 0], centers[:, 1])
     inside = grid.p_occupied[tuple(index.T)] == 1
-    seen = (np.abs(centres[:, 0]) < 0.15) & (np.abs(centres[:, 1]) < 0.1)
+    seen = (np.abs(centers[:, 0]) < 0.15) & (np.abs(centers[:, 1]) < 0.1)
     assert inside[off_m < cone_m - 0.004].all()
     # beyond it by at most the box around a voxel's footprint
     assert not inside[seen & (off_m > cone_m + 0.016)].any()

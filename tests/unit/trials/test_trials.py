@@ -11,15 +11,15 @@ import pytest
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution.simulate import ExecutionSettings
 from deltasafe.geometry import Trajectory
-from deltasafe.perception.calibration import Calibration
+from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.scene import FieldSettings, OccupancyGrid, load_scenes
 from deltasafe.trials.audit import audit_trajectory
 from deltasafe.trials.executions import execute_scenes, load_outcomes
-from deltasafe.trials.fields import load_field, load_p_occupied, load_seen, missed_hand, write_fields
 from deltasafe.trials.motions import load_motion, plan_scenes
-from deltasafe.trials.safety_writing import write_safety_report
+from deltasafe.trials.occupancy_fields import load_occupancy_grid, load_p_occupied, load_seen, missed_hand, write_fields
 from deltasafe.trials.selection import load_selection, select_scenes
+from deltasafe.trials.write_safety_report import write_safety_report
 
 SCENES = pathlib.Path(__file__).parents[3] / "datasets" / "scenes"
 CALIBRATION = Calibration(50, 1, 0.98, 0.95, 0.01, 0.05, 0.01, smallest_supported_delta=0.03)
@@ -119,7 +119,7 @@ def test_the_share_of_the_hand_that_is_missed_is_counted_pixel_by_pixel(chain):
 
 def test_the_audit_agrees_with_the_plan_and_finds_what_is_unsafe(chain):
     scenes, root, motions, _, _ = chain
-    motion, grid = motions["scene_000"], load_field(root / "fields", "scene_000")
+    motion, grid = motions["scene_000"], load_occupancy_grid(root / "fields", "scene_000")
     assert audit_trajectory(motion.trajectory, grid, motion.body, 0.05).unsafe_poses == 0
     through_the_hand = np.linspace(scenes[0].start.as_array(), [0.03, -0.05, 0.03, 0.0], 200)
     time_s = np.arange(200) / 100
@@ -194,7 +194,7 @@ def test_a_scene_may_not_name_a_folder_outside_of_its_own(tmp_path):
 
 
 def test_the_arm_stands_beside_a_table_of_any_height():
-    """The same motion above a table one metre up: the same errors to the bit of the integrator."""
+    """The same motion above a table one meter up: the same errors to the bit of the integrator."""
     from deltasafe.execution.simulate import execute, iiwa_for
 
     share = np.linspace(0, 1, 601)

@@ -1,0 +1,61 @@
+"""Labels and the members' predictions of the same images, checked image by image."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import SettingsError
+from deltasafe.perception.calibration.metrics import require_label, require_p_occupied
+
+__all__ = ["LabeledPredictions"]
+
+
+@dataclasses.dataclass(frozen=True)
+class LabeledPredictions:
+    """What M members think of N labeled images.
+
+    Attributes:
+        image_ids: N unique names.
+        labels: N masks (H, W), bool or 0/255; sizes may differ between images.
+        predictions: N arrays (M, H, W) of the members' p_occupied; read one at a time (`MemberPredictions`).
+    """
+
+    image_ids: Sequence[str]
+    labels: Sequence[NDArray[np.generic]]
+    predictions: Sequence[NDArray[np.floating]]
+
+    def __post_init__(self) -> None:
+        n_images = len(self.image_ids)
+        if not n_images == len(self.labels) == len(self.predictions) or n_images == 0:
+            raise SettingsError(
+                f"one label and one prediction an image are needed, got {n_images} ids, {len(self.labels)} labels, "
+                f"{len(self.predictions)} predictions"
+            )
+        if len(set(self.image_ids)) != n_images:
+            raise SettingsError("image_ids must be unique")
+
+    def __len__(self) -> int:
+        return len(self.image_ids)
+
+    def checked(self, n_members: int | None = None) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.floating]]]:
+        """(H, W) bool label and (M, H, W) predictions, image after image; an error names the image."""
+        for image_id, label, index in zip(self.image_ids, self.labels, range(len(self)), strict=True):
+            stack = self.predictions[index]
+            try:
+                occupied = require_label(label)
+                if np.ndim(stack) != 3 or len(stack) == 0 or n_members not in (None, len(stack)):
+                    raise SettingsError(
+                        f"predictions must have shape (M, H, W), M the same in all images, got {np.shape(stack)}"
+                    )
+                n_members = len(stack)
+                require_p_occupied(stack[0], occupied.shape)
+                require_p_occupied(stack)
+            except SettingsError as error:
+                raise SettingsError(f"{image_id}: {error}") from error
+            yield occupied, stack
+
+    def pooled(self, index: int) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """(H, W) bool label and (H, W) mean of all members, of an image that was checked before."""
+        return require_label(self.labels[index]), np.asarray(self.predictions[index], np.float64).mean(axis=0)

@@ -1,0 +1,52 @@
+"""The one question that a search asks of its surroundings, answered in compiled code by the type of the answerer."""
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import types
+from numba.extending import overload
+
+from deltasafe.compute.numba_cache import kernel
+
+__all__ = ["answers_segments", "as_pose", "ask_segment", "segment_is_safe"]
+
+
+def segment_is_safe(constraint: Any, start: Any, end: Any) -> bool:
+    """Whether every pose of the straight segment between two poses meets the constraint.
+
+    Callable from compiled code alone, where it is resolved by the type of ``constraint``, a ``NamedTuple``
+    class for which ``answers_segments`` has registered a test. Poses are tuples of four numbers.
+    """
+    raise TypeError("segment_is_safe is for compiled code; call ask_segment")
+
+
+def answers_segments(constraint_type: type) -> Callable[[Any], Any]:
+    """Register a compiled ``test(constraint, start, end) -> bool`` for a ``NamedTuple`` class.
+
+    ``start`` and ``end`` are tuples (x, y, z, yaw), to be read by index.
+    """
+
+    def register(test: Any) -> Any:
+        @overload(segment_is_safe, jit_options={"_nrt": False})
+        def resolve(constraint, start, end):  # type: ignore[no-untyped-def]
+            if isinstance(constraint, types.BaseTuple) and (
+                getattr(constraint, "instance_class", None) is constraint_type
+            ):
+                return lambda constraint, start, end: test(constraint, start, end)  # noqa: PLW0108 - numba reads it
+            return None
+
+        return test
+
+    return register
+
+
+@kernel
+def as_pose(pose):  # type: ignore[no-untyped-def]
+    """Array (4,) to tuple."""
+    return pose[0], pose[1], pose[2], pose[3]
+
+
+@kernel
+def ask_segment(constraint, start, end):  # type: ignore[no-untyped-def]
+    """``segment_is_safe`` for callers in Python, who hold poses as arrays (4,) of float64."""
+    return segment_is_safe(constraint, as_pose(start), as_pose(end))

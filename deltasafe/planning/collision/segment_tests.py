@@ -1,0 +1,122 @@
+"""Is a segment of poses delta-safe? Three tests behind one interface (decision 16)."""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.compute.numba_cache import compiled
+from deltasafe.errors import SettingsError
+from deltasafe.planning.body import ToolBody
+from deltasafe.planning.collision.clearance import clearance_of_pose
+from deltasafe.planning.collision.clearance_tables import clearance_tables_of, table_clearance_m
+from deltasafe.planning.collision.collision_arrays import collision_arrays_of
+from deltasafe.planning.collision.continuous import BY_YAW_M, ContinuousTest
+from deltasafe.planning.collision.distance_field import DistanceField
+from deltasafe.planning.collision.scenario_samples import sample_pool
+from deltasafe.planning.collision.segment_query import ask_segment
+from deltasafe.planning.collision.stepwise import ExactTest, SampledTest, StepParams
+
+__all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_segment_safe", "segment_test"]
+
+METHODS = ("sampled", "exact", "continuous")
+MOST_SAMPLES = 16384
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class CheckSettings:
+    """How a segment is tested.
+
+    Attributes:
+        method: ``sampled``, the paper's: N_x points of the enlarged body at poses at most ``delta_p_m`` apart;
+            ``exact``: the distance transform at the same poses; ``continuous``: it along the whole segment.
+        n_samples: N_x of ``sampled``.
+        redraw_samples: draw anew for each pose (the paper), or keep one fixed set.
+        delta_p_m: largest motion of any point of the body between two tested poses, for the first two methods;
+            half of it is part of their margin (decision 18).
+        resolution_m: ``continuous`` refuses when it cannot decide pieces with less motion than twice this.
+        use_clearance_tables: settle poses far from obstacles by a coarse grid first; changes nothing but the time.
+            ``continuous`` always does so.
+        by_yaw: settle most poses near obstacles by a second grid, which knows the yaw. It is made once for a field,
+            body and margin, in the time of a few plans: for many plans in one field.
+    """
+
+    method: str = "continuous"
+    n_samples: int = 100
+    redraw_samples: bool = True
+    delta_p_m: float = 0.01
+    resolution_m: float = 0.001
+    use_clearance_tables: bool = True
+    by_yaw: bool = False
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise SettingsError(f"method must be one of {METHODS}, got {self.method!r}")
+        if not 1 <= self.n_samples <= MOST_SAMPLES:
+            raise SettingsError(f"n_samples must be between 1 and {MOST_SAMPLES}, got {self.n_samples}")
+        for name in ("delta_p_m", "resolution_m"):
+            if not (math.isfinite(getattr(self, name)) and 1e-5 <= getattr(self, name) <= 0.1):
+                raise SettingsError(f"{name} must be between 1e-5 and 0.1 m, got {getattr(self, name)}")
+
+
+SegmentTest = SampledTest | ExactTest | ContinuousTest
+"""All that a test needs, as compiled code reads it. Made by ``segment_test``."""
+
+
+def segment_test(
+    field: DistanceField,
+    body: ToolBody,
+    margin_m: float,
+    settings: CheckSettings | None = None,
+    seed: int = 0,
+) -> SegmentTest:
+    """Test of segments of a body that keeps ``margin_m`` (gamma at the smallest speed) from the unsafe set.
+
+    Raises:
+        SettingsError: the margin is negative or beyond the reach of the field's distances.
+    """
+    settings = settings or CheckSettings()
+    if not (math.isfinite(margin_m) and 0 <= margin_m <= 0.02):
+        raise SettingsError(f"margin_m must be between 0 and 0.02 m, got {margin_m}")
+    is_continuous = settings.method == "continuous"
+    between_m = 0.0 if is_continuous else settings.delta_p_m / 2
+    need_m = float(margin_m) + between_m
+    by_yaw_m = margin_m + (BY_YAW_M if is_continuous else between_m)
+    certificates = clearance_tables_of(field, body, by_yaw_m if settings.by_yaw else None)
+    steps = StepParams(body.rho_max_m, need_m, settings.delta_p_m, settings.use_clearance_tables)
+    if settings.method == "sampled":
+        pool = sample_pool(field, body, need_m, settings.n_samples, settings.redraw_samples, seed)
+        return SampledTest(certificates, pool, steps)
+    around = collision_arrays_of(field, body, need_m)
+    if settings.method == "exact":
+        return ExactTest(certificates, around, body.numbers, steps)
+    return ContinuousTest(certificates, around, body.numbers, float(margin_m), settings.resolution_m)
+
+
+def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
+    """Whether the segment between two poses (4,), yaw turning linearly, passes; symmetric in its ends."""
+    return bool(ask_segment(test, np.asarray(start, dtype=np.float64).copy(), np.asarray(end, dtype=np.float64).copy()))
+
+
+def body_clearance_m(test: SegmentTest, poses: Array) -> Array:
+    """d_o (N,) of poses (N, 4): lower bound of the distance of the body to the unsafe set, table included.
+
+    Raises:
+        SettingsError: the test is a sampled one, which knows no distances.
+    """
+    if isinstance(test, SampledTest):
+        raise SettingsError("method sampled knows no clearances; make the test with method exact or continuous")
+    poses = np.ascontiguousarray(poses, dtype=np.float64)
+    return np.asarray(_clearances(test.certificates, test.around, test.body, poses))
+
+
+@compiled
+def _clearances(certificates, around, body, poses):  # type: ignore[no-untyped-def]
+    clearance_m = np.empty(len(poses))
+    for n in range(len(poses)):
+        x, y, z, yaw = poses[n, 0], poses[n, 1], poses[n, 2], poses[n, 3]
+        known_m = table_clearance_m(certificates, x, y, z)
+        clearance_m[n] = max(clearance_of_pose(around, body, x, y, z, yaw), known_m)
+    return clearance_m

@@ -1,0 +1,100 @@
+"""What a segment costs: the paper's line cost, its additive root, and the area between path and table."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.compute.numba_cache import inlined, kernel
+from deltasafe.errors import SettingsError
+
+__all__ = ["COSTS", "LineCost", "area_m2", "line_cost", "path_cost", "pose_distance"]
+
+COSTS = ("root", "squared", "area")
+
+Array = NDArray[np.float64]
+
+
+class LineCost(NamedTuple):
+    """Cost of a straight segment between poses, as compiled code reads it. Made by ``line_cost``.
+
+    With L = sqrt(|dx|^2 + r dphi^2), decisions 15 and 25:
+
+    root: L, additive, in meters. squared: L^2, eq. (12) of the paper, which cutting a segment makes cheaper.
+    area: the integral of (z - z_table) ds plus w L. The share w of the root holds the rotation term, and keeps
+    length from costing nothing near the table: with w = 0 any detour along the table would be almost free.
+    """
+
+    kind: int
+    rotation_weight_m2: float
+    table_z_m: float
+    length_weight_m: float
+
+
+def line_cost(
+    kind: str, rotation_weight_m2: float = 0.01, table_z_m: float = 0.0, length_weight_m: float = 0.02
+) -> LineCost:
+    """Line cost by name: ``root``, ``squared`` or ``area``.
+
+    Raises:
+        SettingsError: an unknown name, or a weight that is not positive.
+    """
+    if kind not in COSTS:
+        raise SettingsError(f"cost must be one of {COSTS}, got {kind!r}")
+    if not (rotation_weight_m2 > 0 and length_weight_m > 0):
+        raise SettingsError(f"weights must be positive, got {rotation_weight_m2} and {length_weight_m}")
+    return LineCost(COSTS.index(kind), float(rotation_weight_m2), float(table_z_m), float(length_weight_m))
+
+
+def path_cost(cost: LineCost, poses: Array) -> float:
+    """Sum of the line costs of a polyline (K, 4)."""
+    return float(_path_cost(cost, np.ascontiguousarray(poses, dtype=np.float64)))
+
+
+def area_m2(poses: Array, table_z_m: float) -> float:
+    """Integral of (z - z_table) ds along a polyline (K, 4), in square meters."""
+    height_m = (poses[1:, 2] + poses[:-1, 2]) / 2 - table_z_m
+    return float((height_m * np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)).sum())
+
+
+@inlined
+def pose_distance(rotation_weight_m2, a, b):  # type: ignore[no-untyped-def]
+    """sqrt(|dx|^2 + r dphi^2) of poses with continuous yaw."""
+    dx, dy, dz, dyaw = a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
+    return math.sqrt(dx * dx + dy * dy + dz * dz + rotation_weight_m2 * dyaw * dyaw)
+
+
+@inlined
+def segment_cost(cost, a, b):  # type: ignore[no-untyped-def]
+    """Cost of the segment between two poses (4,)."""
+    dx, dy, dz, dyaw = a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
+    way = dx * dx + dy * dy + dz * dz
+    squared = way + cost.rotation_weight_m2 * dyaw * dyaw
+    if cost.kind == 0:
+        return math.sqrt(squared)
+    if cost.kind == 1:
+        return squared
+    height = max(0.5 * (a[2] + b[2]) - cost.table_z_m, 0.0)
+    return height * math.sqrt(way) + cost.length_weight_m * math.sqrt(squared)
+
+
+@kernel
+def _path_cost(cost, poses):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for n in range(len(poses) - 1):
+        total += segment_cost(cost, poses[n], poses[n + 1])
+    return total
+
+
+@kernel
+def least_cost(cost, lowest_z, a, b):  # type: ignore[no-untyped-def]
+    """Lower bound of the cost of any path between two poses that stays above ``lowest_z``."""
+    if cost.kind == 1:
+        return 0.0
+    length = pose_distance(cost.rotation_weight_m2, a, b)
+    if cost.kind == 0:
+        return length
+    dx, dy, dz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    height = max(lowest_z - cost.table_z_m, 0.0)
+    return height * math.sqrt(dx * dx + dy * dy + dz * dz) + cost.length_weight_m * length

@@ -1,0 +1,38 @@
+"""gamma(v), the bound on the tracking error at reference speed v (assumption 1 of the paper)."""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import SettingsError
+
+__all__ = ["TrackingBound"]
+
+
+@dataclasses.dataclass(frozen=True)
+class TrackingBound:
+    """gamma(v) = gamma0 + gamma1 * v in meters of workspace error, eta already applied (gamma tilde).
+
+    The default is the paper's line of section V-C, v / 0.2 m/s * 0.01 m.
+    """
+
+    gamma0_m: float = 0.0
+    gamma1_s: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, value in dataclasses.asdict(self).items():
+            if not (math.isfinite(value) and value >= 0):
+                raise SettingsError(f"{name} must be finite and not negative, got {value}")
+
+    def error_m(self, speed_mps: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """gamma(v): largest workspace error in meters at each speed in m/s."""
+        return np.asarray(self.gamma0_m + self.gamma1_s * np.asarray(speed_mps, dtype=np.float64))
+
+    def speed_mps(self, error_m: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """Largest speed in m/s whose bound stays within ``error_m``; 0 where even standing still does not."""
+        room = np.maximum(np.asarray(error_m, dtype=np.float64) - self.gamma0_m, 0.0)
+        if self.gamma1_s == 0.0:
+            return np.where(np.asarray(error_m) >= self.gamma0_m, np.inf, 0.0)
+        return np.asarray(room / self.gamma1_s)

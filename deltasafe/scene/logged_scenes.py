@@ -1,0 +1,197 @@
+"""Logged scenes: an image of the table with a hand on it, its camera, and the task of the tool."""
+
+import dataclasses
+import math
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.geometry import Pose
+from deltasafe.io.arrays import read_npz
+from deltasafe.io.storage import read_json
+from deltasafe.scene.camera import Camera
+
+__all__ = ["LoggedScene", "load_scenes"]
+
+LONGEST_NAME = 100
+FARTHEST_M = 10.0
+"""Of anything in a scene: what lies farther is given in other units than meters."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LoggedScene:
+    """One logged scene; pixels stay on disk. Mask and mesh are ground truth: for judging, never for planning.
+
+    Attributes:
+        id: name of the scene.
+        image_path: photograph, ``camera.height`` x ``camera.width``.
+        camera: the camera that took it.
+        table_z_m: height of the table.
+        hand_height_m: height above the table of the highest point of the hand inside the view.
+        start, goal: poses of the tool.
+        mask_path: true mask (255 = hand).
+        mesh_path: true mesh, read by ``true_mesh``.
+    """
+
+    id: str
+    image_path: pathlib.Path
+    camera: Camera
+    table_z_m: float
+    hand_height_m: float
+    start: Pose
+    goal: Pose
+    mask_path: pathlib.Path
+    mesh_path: pathlib.Path
+
+    @classmethod
+    def load(cls, folder: str | pathlib.Path) -> "LoggedScene":
+        """Read and check ``scene.json`` and the files that it names.
+
+        Raises:
+            DataError: a file is missing or a field is missing or outside its domain; names both.
+        """
+        folder = pathlib.Path(folder)
+        path = folder / "scene.json"
+        record = read_json(path)
+        truth = _member(path, record, "ground_truth")
+        try:
+            camera = Camera.from_json(_member(path, record, "camera"))
+        except SettingsError as error:
+            raise DataError(path, f"field camera: {error}") from error
+        table_z_m, hand_height_m = _number(path, record, "table_z_m"), _number(path, record, "hand_height_m")
+        if hand_height_m <= 0:
+            raise DataError(path, f"field hand_height_m must be positive, got {hand_height_m}")
+        _check_view(path, camera, table_z_m, hand_height_m)
+        scene_id = _member(path, record, "id")
+        if not isinstance(scene_id, str) or pathlib.PurePath(scene_id).name != scene_id or not _is_name(scene_id):
+            raise DataError(path, f"field id must be a name without slashes, got {scene_id!r:.80}")
+        scene = cls(
+            id=scene_id,
+            image_path=_file(path, record, "image"),
+            camera=camera,
+            table_z_m=table_z_m,
+            hand_height_m=hand_height_m,
+            start=_pose(path, record, "start", table_z_m),
+            goal=_pose(path, record, "goal", table_z_m),
+            mask_path=_file(path, truth, "mask"),
+            mesh_path=_file(path, truth, "mesh"),
+        )
+        scene.true_mesh()
+        return scene
+
+    def true_mesh(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Ground truth in the world frame: vertices_m (V, 3) float32 and triangles (F, 3) int32.
+
+        Raises:
+            DataError: the file is not such a mesh.
+        """
+        try:
+            arrays = read_npz(self.mesh_path)
+            vertices_m, triangles = arrays["vertices_m"], arrays["triangles"]
+        except KeyError as error:
+            raise DataError(self.mesh_path, f"is not a mesh (it lacks {error}); export it again") from error
+        if vertices_m.ndim != 2 or vertices_m.shape[1] != 3 or vertices_m.dtype.kind not in "fiu":
+            raise DataError(
+                self.mesh_path, f"vertices_m must be finite (V, 3), got {vertices_m.dtype} {vertices_m.shape}"
+            )
+        if not np.isfinite(vertices_m).all() or np.abs(vertices_m).max(initial=0.0) > FARTHEST_M:
+            raise DataError(self.mesh_path, f"vertices_m must be finite, in meters, and within {FARTHEST_M:g} m")
+        if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+            raise DataError(self.mesh_path, f"triangles must be integers (F, 3), got shape {triangles.shape}")
+        if triangles.size == 0 or triangles.min() < 0 or triangles.max() >= len(vertices_m):
+            raise DataError(self.mesh_path, f"triangles must index the {len(vertices_m)} vertices")
+        return vertices_m.astype(np.float32), triangles.astype(np.int32)
+
+
+def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
+    """All scenes of a folder (one sub-folder each, any that holds a ``scene.json``), in order of name.
+
+    Raises:
+        DataError: there is none, two share an id, or one is defective.
+    """
+    folder = pathlib.Path(folder)
+    scenes = tuple(LoggedScene.load(path.parent) for path in sorted(folder.glob("*/scene.json")))
+    if not scenes:
+        raise DataError(folder, "holds no scene (a sub-folder with a scene.json); put one there")
+    ids = [scene.id for scene in scenes]
+    if len(set(ids)) < len(ids):
+        twice = sorted({scene_id for scene_id in ids if ids.count(scene_id) > 1})
+        raise DataError(folder, f"scene ids must differ, these occur more than once: {twice}; rename one")
+    return scenes
+
+
+def _member(path: pathlib.Path, record: Any, name: str) -> Any:
+    if not isinstance(record, Mapping) or name not in record:
+        raise DataError(path, f"field {name} is missing; add it (docs/data.md)")
+    return record[name]
+
+
+def _check_view(path: pathlib.Path, camera: Camera, table_z_m: float, hand_height_m: float) -> None:
+    """Refuse what a camera in other units, or with the axes of another convention, makes of the scene."""
+    above_m = float(camera.position_m[2]) - table_z_m
+    if not 0 < above_m <= FARTHEST_M or np.abs(camera.position_m).max() > FARTHEST_M:
+        raise DataError(
+            path,
+            f"field camera.position_m must be above the table and within {FARTHEST_M:g} m, in meters, "
+            f"got {camera.position_m.tolist()} with the table at {table_z_m}",
+        )
+    if hand_height_m >= above_m:
+        raise DataError(
+            path, f"field hand_height_m must be less than the camera's height {above_m:g} m, got {hand_height_m}"
+        )
+    corners = np.array([(u, v) for u in (0, camera.width) for v in (0, camera.height)], dtype=np.float64)
+    try:
+        seen_m = camera.pixel_to_plane(corners, table_z_m)
+    except SettingsError as error:
+        raise DataError(path, f"field camera: {error}") from error
+    if np.abs(seen_m).max() > FARTHEST_M:
+        raise DataError(
+            path, f"field camera must see no farther than {FARTHEST_M:g} m, it sees {np.abs(seen_m).max():.3g} m"
+        )
+
+
+def _is_name(value: str) -> bool:
+    return value.isprintable() and value not in ("", ".", "..") and len(value) <= LONGEST_NAME
+
+
+def _number(path: pathlib.Path, record: Any, name: str) -> float:
+    value = _member(path, record, name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise DataError(path, f"field {name} must be a finite number, got {value!r}")
+    return float(value)
+
+
+def _pose(path: pathlib.Path, record: Any, name: str, table_z_m: float) -> Pose:
+    value = _member(path, record, name)
+    position = _member(path, value, "position_m")
+    if not isinstance(position, list) or len(position) != 3:
+        raise DataError(path, f"field {name}.position_m must hold x, y, z, got {position!r}")
+    try:
+        x_m, y_m, z_m = (float(coordinate) for coordinate in position)
+        pose = Pose(x_m, y_m, z_m, _number(path, value, "yaw_rad"))
+    except DataError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise DataError(path, f"field {name} must be a pose, in meters and radians ({error})") from error
+    if max(abs(x_m), abs(y_m), abs(z_m)) > FARTHEST_M or not z_m > table_z_m or abs(pose.yaw_rad) > 2 * math.pi:
+        raise DataError(
+            path,
+            f"field {name} must lie above the table, within {FARTHEST_M:g} m, and be turned by at most 2 pi; meters "
+            f"and radians, got {pose.as_tuple()}",
+        )
+    return pose
+
+
+def _file(path: pathlib.Path, record: Any, name: str) -> pathlib.Path:
+    value = _member(path, record, name)
+    if not isinstance(value, str) or pathlib.PurePath(value).name != value:
+        raise DataError(path, f"field {name} must be the name of a file beside it, got {value!r}")
+    if not (path.parent / value).is_file():
+        raise DataError(path.parent / value, f"is missing, though field {name} of {path.name} names it; restore it")
+    if not (path.parent / value).resolve().is_relative_to(path.parent.resolve()):
+        raise DataError(path.parent / value, "is a link out of the scene's folder; copy the file itself (cp -L)")
+    return path.parent / value

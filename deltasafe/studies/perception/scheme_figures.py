@@ -1,0 +1,143 @@
+"""Tables I and II and the ablation as pictures: what was measured, beside what the paper reports."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from deltasafe.studies.perception.tables import SCHEME_TITLES, AblationRow, SchemeRow, best_rows
+
+__all__ = ["ablation_figure", "scheme_figure", "scheme_tables_figure"]
+
+_BLUE = "#0072B2"
+_GRAY = "#8a8a8a"
+_RED = "#C8102E"
+_PRINTED = {
+    "pixel_accuracy": ("PA [%]", 1e2),
+    "miou": ("mIoU [%]", 1e2),
+    "nll": ("NLL $\\times 10^2$", 1e2),
+    "brier": ("BS $\\times 10^3$", 1e3),
+}
+
+
+def scheme_tables_figure(rows: Sequence[SchemeRow]) -> Figure:
+    """Tables I and II in the paper's form, the paper's own figures in gray beside ours, best of a size in bold."""
+    sizes = sorted({row.cell.n_images for row in rows})
+    height = 0.26 * (len(rows) + 0.6 * len(sizes) + 4)
+    figure = Figure(figsize=(10.6, height), layout=None)
+    axes = figure.add_axes((0.01, 0.01, 0.98, 0.98))
+    axes.set(xlim=(0, 1), ylim=(height / 0.26, 0))
+    axes.set_axis_off()
+    columns = dict(zip(_PRINTED, (0.405, 0.585, 0.755, 0.915), strict=True))
+    y = 1.0
+    _rule(axes, 0.3, 1.2)
+    for x, text, where in ((0.0, "Training set", "left"), (0.11, "Scheme", "left"), (0.295, "$M$", "center")):
+        axes.text(x, y + 0.35, text, ha=where, va="center", weight="bold")
+    for name, x in columns.items():
+        axes.text(x, y, _PRINTED[name][0], ha="center", va="center", weight="bold")
+        axes.text(x - 0.008, y + 0.8, "measured", ha="right", va="center", fontsize=8)
+        axes.text(x + 0.008, y + 0.8, "paper", ha="left", va="center", fontsize=8, color=_GRAY)
+    y += 1.6
+    for size in sizes:
+        _rule(axes, y - 0.4, 0.6)
+        group = [row for row in rows if row.cell.n_images == size]
+        for index, row in enumerate(group):
+            y += 0.6 if index == 0 else 1.0
+            if index == 0:
+                axes.text(0.0, y, f"{size} images", va="center")
+            axes.text(0.11, y, SCHEME_TITLES[row.cell.scheme], va="center")
+            axes.text(0.295, y, f"{row.cell.n_members}", ha="center", va="center")
+            for name, x in columns.items():
+                best = row in best_rows(rows, name)
+                ours, paper = _printed(row, name)
+                axes.text(x - 0.008, y, ours, ha="right", va="center", weight="bold" if best else "normal")
+                axes.text(x + 0.008, y, paper, ha="left", va="center", color=_GRAY)
+        y += 1.0
+    _rule(axes, y - 0.3, 1.2)
+    note = "± is one standard deviation over the $M$ members (PA, mIoU); NLL and BS are those of their mean. "
+    note += "The paper's headings NLL and BS are corrected."
+    axes.text(0.0, y + 0.3, note, va="center", fontsize=8, color="#555555")
+    return figure
+
+
+def scheme_figure(rows: Sequence[SchemeRow]) -> Figure:
+    """The four measures of every scheme at every size; hollow and dashed: the paper's."""
+    sizes = sorted({row.cell.n_images for row in rows})
+    schemes = [name for name in SCHEME_TITLES if any(row.cell.scheme == name for row in rows)]
+    figure = Figure(figsize=(11, 3.5), layout="constrained")
+    all_axes = figure.subplots(1, 4, sharey=True)
+    for axes, (name, (label, unit)) in zip(all_axes, _PRINTED.items(), strict=True):
+        for row in rows:
+            k = sizes.index(row.cell.n_images)
+            color = _BLUE if k == len(sizes) - 1 else "#E69F00"
+            y = schemes.index(row.cell.scheme) + (k - (len(sizes) - 1) / 2) * 0.34
+            low, value, high = _span(row, name)
+            axes.plot([unit * low, unit * high], [y, y], "-", color=color, lw=2, alpha=0.45)
+            axes.plot(unit * value, y, "o", color=color, ms=6)
+            if row.paper is not None:
+                axes.plot(unit * getattr(row.paper, name), y, "o", mfc="white", mec=color, ms=5)
+        axes.set(xlabel=label, ylim=(len(schemes) - 0.5, -0.5))
+        if name in ("nll", "brier"):
+            axes.set_xlim(left=0)
+        _clean(axes)
+    all_axes[0].set_yticks(range(len(schemes)), [SCHEME_TITLES[name] for name in schemes])
+    handles = [_dot(_BLUE if k == len(sizes) - 1 else "#E69F00", f"{size} images") for k, size in enumerate(sizes)]
+    handles.append(Line2D([], [], marker="o", ls="", mfc="white", mec="black", ms=5, label="the paper's"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
+    return figure
+
+
+def ablation_figure(rows: Sequence[AblationRow]) -> Figure:
+    """How much worse each measure becomes without a method; right of zero the method helps."""
+    drawn = [row for row in rows if row.loss is not None]
+    figure = Figure(figsize=(11, 0.9 + 0.3 * max(len(drawn), 3)), layout="constrained")
+    all_axes = figure.subplots(1, 4, sharey=True)
+    for axes, (name, (label, unit)) in zip(all_axes, _PRINTED.items(), strict=True):
+        axes.axvline(0, color="black", lw=0.8)
+        for y, row in enumerate(drawn):
+            loss, low, high = (unit * getattr(scores, name) for scores in (row.loss, row.loss_low, row.loss_high))
+            color = _GRAY if low <= 0 <= high else _BLUE if loss > 0 else _RED
+            axes.plot([low, high], [y, y], "-", color=color, lw=2, alpha=0.45)
+            axes.plot(loss, y, "o", color=color, ms=6)
+        axes.set(xlabel=f"loss in {label}", ylim=(len(drawn) - 0.5, -0.5))
+        _clean(axes)
+    all_axes[0].set_yticks(range(len(drawn)), [row.cell.left_out.replace("_", " ") for row in drawn])
+    return figure
+
+
+def _printed(row: SchemeRow, name: str) -> tuple[str, str]:
+    unit, digits = _PRINTED[name][1], 2 if name == "nll" else 1
+    ours = f"{unit * getattr(row.compared, name):.{digits}f}"
+    paper = "" if row.paper is None else f"{unit * getattr(row.paper, name):.1f}"
+    if name in ("pixel_accuracy", "miou"):
+        if row.members.sd is not None:
+            ours += f" ± {unit * getattr(row.members.sd, name):.1f}"
+        if row.paper is not None:
+            paper += f" ± {unit * getattr(row.paper, name + '_sd'):.1f}"
+    return ours, paper
+
+
+def _span(row: SchemeRow, name: str) -> tuple[float, float, float]:
+    """Low end, value and high end: of one sd over members, or of the ensemble's interval."""
+    value = getattr(row.compared, name)
+    if name in ("nll", "brier"):
+        return getattr(row.low, name), value, getattr(row.high, name)
+    sd = 0.0 if row.members.sd is None else getattr(row.members.sd, name)
+    return value - sd, value, value + sd
+
+
+def _rule(axes: Axes, y: float, width: float) -> None:
+    axes.plot([0, 1], [y, y], color="black", lw=width, clip_on=False)
+
+
+def _dot(color: str, label: str) -> Any:
+    return Line2D([], [], marker="o", ls="", color=color, ms=6, label=label)
+
+
+def _clean(axes: Axes) -> None:
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(True, axis="x", color="#e6e6e6", lw=0.6)
+    axes.set_axisbelow(True)

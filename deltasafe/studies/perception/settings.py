@@ -1,0 +1,120 @@
+"""Which cells the studies of the paper's section V-A have; free of torch and OpenCV, so that a UI can name them."""
+
+import dataclasses
+
+from deltasafe.errors import SettingsError
+from deltasafe.perception.data.augmentation.settings import METHOD_NAMES
+from deltasafe.perception.data.schemes import SCHEMES
+
+__all__ = ["Cell", "StudySettings"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """An ensemble to train and judge: a scheme at a size, for ablations with one method left out.
+
+    Attributes:
+        scheme: a name of `deltasafe.perception.data.schemes.SCHEMES`.
+        n_images: size of the augmented set.
+        n_members: M.
+        left_out: method of our scheme that is never applied; empty for the whole scheme.
+        full: trained by the preset's recipe where the comparisons have a lighter one.
+    """
+
+    scheme: str
+    n_images: int
+    n_members: int
+    left_out: str = ""
+    full: bool = False
+
+    def __post_init__(self) -> None:
+        if self.scheme not in SCHEMES:
+            raise SettingsError(f"scheme is {self.scheme!r}; choose one of {', '.join(SCHEMES)}")
+        if self.left_out and (self.scheme != "ours" or self.left_out not in METHOD_NAMES):
+            raise SettingsError(
+                f"left_out is {self.left_out!r}; only our scheme has methods: {', '.join(METHOD_NAMES)}"
+            )
+        for name in ("n_images", "n_members"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+    @property
+    def name(self) -> str:
+        """For folders, partitions and figures: ``mixup-200``, ``ours-1000-without-flip``, ``ours-1000-full``."""
+        without = f"-without-{self.left_out}" if self.left_out else ""
+        return f"{self.scheme}-{self.n_images}{without}{'-full' if self.full else ''}"
+
+
+@dataclasses.dataclass(frozen=True)
+class StudySettings:
+    """Extent of the studies; network, training and inference are those of the preset.
+
+    Tables I and II and the ablation may have a lighter recipe, the same for all of their cells: they compare, and their
+    many ensembles would take a day on two cores. Table III and Fig. 4 always have the preset's.
+
+    Attributes:
+        sizes: of the augmented sets; every cell is trained with as many gradient steps as the largest.
+        n_members: M of Tables I and II, the same for every scheme.
+        n_members_most: M up to which Table III goes: our scheme at the largest size.
+        n_members_ablation: M with one method left out; compared with as many members of the whole scheme.
+        left_out: methods of the ablation, one after another, at the largest size.
+        cutout_side: see `CutoutSettings`.
+        mixup_alpha: see `MixupSettings`.
+        comparison_width: of the images of Tables I and II and the ablation, in pixels; 0 is the preset's. Their
+            ensembles look at images that are smaller in the same proportion.
+        comparison_epochs: over a set of the largest size, for the same; 0 is the preset's.
+        first_seed: member m of every cell has the seed ``first_seed`` + m.
+    """
+
+    sizes: tuple[int, ...] = (200, 1000)
+    n_members: int = 5
+    n_members_most: int = 10
+    n_members_ablation: int = 2
+    left_out: tuple[str, ...] = METHOD_NAMES
+    cutout_side: float = 0.5
+    mixup_alpha: float = 0.4
+    comparison_width: int = 0
+    comparison_epochs: int = 0
+    first_seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sizes", tuple(self.sizes))
+        object.__setattr__(self, "left_out", tuple(self.left_out))
+        if not self.sizes or list(self.sizes) != sorted(set(self.sizes)) or self.sizes[0] < 1:
+            raise SettingsError(f"sizes must be positive and rising, got {self.sizes}")
+        if not 1 <= self.n_members <= self.n_members_most:
+            raise SettingsError(
+                f"n_members must lie in 1..n_members_most ({self.n_members_most}), got {self.n_members}"
+            )
+        if not 1 <= self.n_members_ablation <= self.n_members:
+            raise SettingsError(
+                f"n_members_ablation must lie in 1..n_members ({self.n_members}), got {self.n_members_ablation}"
+            )
+        for name in ("first_seed", "comparison_width", "comparison_epochs"):
+            if getattr(self, name) < 0:
+                raise SettingsError(f"{name} must not be negative, got {getattr(self, name)}")
+        self.cells()
+
+    @property
+    def lighter(self) -> bool:
+        """Whether the comparisons have a recipe of their own."""
+        return self.comparison_width > 0 or self.comparison_epochs > 0
+
+    @property
+    def largest(self) -> Cell:
+        """Our scheme at the largest size with the preset's recipe: the ensemble of Table III."""
+        return Cell("ours", self.sizes[-1], self.n_members_most, full=self.lighter)
+
+    def schemes(self) -> tuple[Cell, ...]:
+        """Cells of Tables I and II, in the order of the paper."""
+        cells = [Cell(scheme, n_images, self.n_members) for n_images in self.sizes for scheme in SCHEMES]
+        return tuple(self.largest if cell.name == self.largest.name else cell for cell in cells)
+
+    def ablation(self) -> tuple[Cell, ...]:
+        """Our scheme with one method left out."""
+        return tuple(Cell("ours", self.sizes[-1], self.n_members_ablation, method) for method in self.left_out)
+
+    def cells(self) -> tuple[Cell, ...]:
+        """All cells, in the order in which to work: ours first, the largest sets first, the ablation last."""
+        schemes = sorted(self.schemes(), key=lambda cell: (cell.scheme != "ours", -cell.n_images))
+        return tuple(dict.fromkeys((self.largest, *schemes, *self.ablation())))

@@ -1,0 +1,32 @@
+"""The same scene photographed again: exposure, white balance, noise of the sensor, compression."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.studies.safety.settings import CameraSettings
+
+__all__ = ["expose", "photograph_again"]
+
+
+def photograph_again(rgb: NDArray[np.uint8], settings: CameraSettings, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8: the picture as the same camera might have taken it another time, compressed and read again."""
+    import cv2
+
+    picture = expose(rgb, settings, rng)
+    quality = int(rng.integers(settings.jpeg_quality[0], settings.jpeg_quality[1] + 1))
+    _, stored = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imdecode(stored, cv2.IMREAD_COLOR_RGB), np.uint8)
+
+
+def expose(rgb: NDArray[np.uint8], settings: CameraSettings, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8: another exposure of the picture, before compression.
+
+    Gains act on the stored values, as a camera's digital gain does; shot noise has the variance of its light
+    (Healey and Kondepudy 1994), read noise is the same everywhere.
+    """
+    gain = 2.0 ** rng.normal(0.0, settings.exposure_stops_sd)
+    balance = 1.0 + rng.normal(0.0, settings.white_balance_sd, 2)
+    light = rgb.astype(np.float32) * np.float32(gain) * np.array([balance[0], 1.0, balance[1]], np.float32)
+    spread = np.sqrt(settings.read_noise_sd**2 + settings.shot_noise_sd**2 * np.clip(light, 0, 255) / 255)
+    noisy = light + spread.astype(np.float32) * rng.standard_normal(rgb.shape, dtype=np.float32)
+    return np.asarray(np.clip(np.round(noisy), 0, 255), np.uint8)

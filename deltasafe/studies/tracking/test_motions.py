@@ -1,0 +1,129 @@
+"""Test motions: lines, arcs, turns on the spot and lines with turns, at piecewise constant acceleration.
+
+Acceleration jumps as it does in a velocity schedule, to the same values and back, and half of the motions slow
+down on their way to go on slowly, as a schedule does near a hand.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import PlanningError
+from deltasafe.geometry import Trajectory
+from deltasafe.planning.body import ToolBody
+from deltasafe.studies.tracking.settings import TrackingStudySettings
+
+__all__ = ["KINDS", "TestMotion", "draw_motion"]
+
+Array = NDArray[np.float64]
+
+KINDS = ("line", "arc", "turn", "line and turn")
+_PERIOD_S = 1e-3
+_ATTEMPTS = 5000
+_TILT_OF_ARC = 0.5  # tangent of its plane's angle with the table
+
+
+@dataclasses.dataclass(frozen=True)
+class TestMotion:
+    """One test motion, at rest at both ends.
+
+    Attributes:
+        trajectory: at 1 kHz.
+        kind: index into ``KINDS``.
+        speed_mps: of the tool's center in its fastest part; 0 for a turn on the spot.
+        braking_mps2: deceleration to rest.
+    """
+
+    __test__ = False
+
+    trajectory: Trajectory
+    kind: int
+    speed_mps: float
+    braking_mps2: float
+
+
+def draw_motion(settings: TrackingStudySettings, rng: np.random.Generator) -> TestMotion:
+    """A motion inside the box; speed, accelerations, direction, place and yaw are drawn, the kinds equally often.
+
+    Raises:
+        PlanningError: the box is too small for a motion of such speeds.
+    """
+    kind, speed = int(rng.integers(len(KINDS))), float(rng.uniform(settings.v_min_mps, settings.v_max_mps))
+    shape, turns = _arc if KINDS[kind] == "arc" else _line, "turn" in KINDS[kind]
+    speed = 0.0 if KINDS[kind] == "turn" else speed
+    # accelerations are those of the tool's fastest point, as in a schedule
+    fastest = speed + (ToolBody().rho_max_m * settings.yaw_rate_radps if turns else 0.0)
+    for _ in range(_ATTEMPTS):
+        times_s, levels, braking = _draw_speeds(settings, rng, fastest)
+        duration_s = float(np.trapezoid(levels, times_s))  # of the same way at top speed
+        drawn = shape(settings, rng, speed * duration_s, speed)
+        yaw, swing = rng.uniform(-math.pi / 2, math.pi / 2), 0.0
+        if turns:
+            swing = rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 1.0) * settings.yaw_rate_radps * duration_s
+        if drawn is None or abs(yaw + swing) > math.pi / 2:
+            continue
+        curve, tangent = drawn
+        time_s, shares, rates = _sampled(times_s, levels)
+        poses = np.column_stack([curve(shares), yaw + swing * shares])
+        velocities = np.column_stack([tangent(shares), np.full(len(shares), swing)]) * rates[:, None]
+        return TestMotion(Trajectory(time_s, poses, velocities), kind, speed, braking)
+    raise PlanningError(f"no motion of {speed:.3f} m/s fits between {settings.lower_m} and {settings.upper_m}")
+
+
+def _draw_speeds(
+    settings: TrackingStudySettings, rng: np.random.Generator, speed_mps: float
+) -> tuple[Array, Array, float]:
+    """Times and heights (as shares of the top speed) of the corners of the speed, and the last deceleration."""
+    up, down, last = rng.choice(settings.accelerations_mps2, size=3)
+    slow = rng.uniform(0.1, 0.6) if rng.random() < 0.5 else 1.0
+    lasting_s, levels = [speed_mps / up, rng.uniform(0.1, 0.5)], [0.0, 1.0, 1.0]
+    if slow < 1:
+        lasting_s += [(1 - slow) * speed_mps / down, rng.uniform(0.2, 0.5)]
+        levels += [slow, slow]
+    lasting_s.append(slow * speed_mps / last)
+    return np.concatenate([[0.0], np.cumsum(lasting_s)]), np.array([*levels, 0.0]), float(last)
+
+
+def _sampled(times_s: Array, levels: Array) -> tuple[Array, Array, Array]:
+    """At the controller's rate: time, share of the way, and its rate; at rest at the end."""
+    time_s = np.arange(math.floor(times_s[-1] / _PERIOD_S) + 2) * _PERIOD_S
+    level = np.interp(time_s, times_s, levels)
+    ways = np.concatenate([[0.0], np.cumsum(np.diff(times_s) * (levels[1:] + levels[:-1]) / 2)])
+    piece = np.clip(np.searchsorted(times_s, time_s, side="right") - 1, 0, len(times_s) - 2)
+    way = ways[piece] + (np.minimum(time_s, times_s[-1]) - times_s[piece]) * (levels[piece] + level) / 2
+    return time_s, way / ways[-1], level / ways[-1]
+
+
+def _line(settings: TrackingStudySettings, rng: np.random.Generator, length_m: float, speed_mps: float):  # type: ignore[no-untyped-def]
+    direction = rng.standard_normal(3)
+    direction *= length_m / np.linalg.norm(direction)
+    start = rng.uniform(settings.lower_m, settings.upper_m)
+    if not _inside(settings, (start + direction)[None]):
+        return None
+    return (lambda share: start + share[:, None] * direction), (lambda share: np.tile(direction, (len(share), 1)))
+
+
+def _arc(settings: TrackingStudySettings, rng: np.random.Generator, length_m: float, speed_mps: float):  # type: ignore[no-untyped-def]
+    """Of a circle as wide as the largest acceleration asks for, in a plane that leans a little."""
+    radius = speed_mps**2 / max(settings.accelerations_mps2) + rng.uniform(0.02, 0.08)
+    lean, first = rng.uniform(-_TILT_OF_ARC, _TILT_OF_ARC), rng.uniform(0, 2 * math.pi)
+    sweep = rng.choice([-1.0, 1.0]) * length_m / radius
+    flat, up = np.array([math.cos(first), math.sin(first), 0.0]), np.array([-math.sin(first), math.cos(first), lean])
+    up /= np.linalg.norm(up)
+    center = rng.uniform(settings.lower_m, settings.upper_m)
+
+    def curve(share: Array) -> Array:
+        angle = sweep * share[:, None]
+        return np.asarray(center + radius * (np.cos(angle) * flat + np.sin(angle) * up))
+
+    def tangent(share: Array) -> Array:
+        angle = sweep * share[:, None]
+        return np.asarray(radius * sweep * (np.cos(angle) * up - np.sin(angle) * flat))
+
+    return (curve, tangent) if _inside(settings, curve(np.linspace(0, 1, 50))) else None
+
+
+def _inside(settings: TrackingStudySettings, points_m: Array) -> bool:
+    return bool((points_m >= settings.lower_m).all() and (points_m <= settings.upper_m).all())

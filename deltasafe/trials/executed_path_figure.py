@@ -1,0 +1,134 @@
+"""An executed motion over the image it was planned from, and its clearance, tracking and speed against their limits."""
+
+import pathlib
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from deltasafe.errors import SettingsError
+from deltasafe.execution.recording import Execution
+from deltasafe.geometry import yaw_of
+from deltasafe.planning import PlannedMotion
+from deltasafe.reporting.over_image import (
+    CLEAR,
+    INK,
+    LIMIT,
+    SIGNAL,
+    draw_level,
+    draw_speed,
+    finish_image,
+    finish_plots,
+    image_and_plots,
+    mark_ends,
+)
+from deltasafe.reporting.panels import save
+from deltasafe.scene import Camera
+from deltasafe.trials.motion_figure import body_outlines
+
+__all__ = ["executed_over_image", "way_of_samples_m"]
+
+Array = NDArray[np.float64]
+
+
+def executed_over_image(
+    rgb: NDArray[np.uint8],
+    p_occupied_image: NDArray[np.float32],
+    camera: Camera,
+    motion: PlannedMotion,
+    execution: Execution,
+    destination: str | pathlib.Path,
+    title: str = "",
+) -> None:
+    """Draw what was executed beside what was planned.
+
+    Left: the image with the contour of delta, the planned way (white), the executed one colored by its speed, the tool
+    where it came closest to the true hand. Right, over the planned way: distance to the true hand and to what the plan
+    took for unsafe; the tracking error under its bound; the speed under its limit.
+
+    Args:
+        rgb: (H, W, 3) uint8; p_occupied_image (H, W); both of the camera's size.
+        motion: with a trajectory; execution: of it.
+        destination: file to write, atomically; the suffix chooses the format.
+
+    Raises:
+        SettingsError: images and camera differ in size, or the motion has no trajectory.
+    """
+    figure, image, axes = image_and_plots(rgb, p_occupied_image, camera)
+    if motion.profile is None:
+        raise SettingsError(f"there is no motion to have been executed: {motion.reason}")
+    speed = _speed_mps(execution)
+    _draw_image(figure, image, p_occupied_image, camera, motion, execution, speed)
+    _draw_limits(axes, motion, execution, speed)
+    if title:
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    save(figure, destination)
+
+
+def way_of_samples_m(execution: Execution) -> Array:
+    """(N,) way of the reference at each sample, from the start of the motion on; a stopped arm has no way left."""
+    steps = np.linalg.norm(np.diff(execution.reference_poses[:, :3], axis=0), axis=1)
+    steps[~(execution.judged[1:] & execution.judged[:-1])] = 0.0
+    return np.append(0.0, np.cumsum(steps))
+
+
+def _speed_mps(execution: Execution) -> Array:
+    """(N,) measured speed of the tool's fastest point, as the schedule counts it: |dx| + rho_max |turn|."""
+    if len(execution.time_s) < 2:
+        return np.zeros(len(execution.time_s))
+    linear = np.linalg.norm(np.gradient(execution.tool_positions_m, execution.time_s, axis=0), axis=1)
+    yaw = np.unwrap(yaw_of(execution.tool_quaternions))
+    return np.asarray(linear + execution.body.rho_max_m * np.abs(np.gradient(yaw, execution.time_s)))
+
+
+def _draw_image(
+    figure: Figure,
+    ax: Axes,
+    p_occupied_image: NDArray[np.float32],
+    camera: Camera,
+    motion: PlannedMotion,
+    execution: Execution,
+    speed: Array,
+) -> None:
+    judged = execution.judged
+    level = draw_level(ax, p_occupied_image, motion.settings.delta)
+    planned, _ = camera.project(execution.reference_poses[judged, :3])
+    driven, _ = camera.project(execution.tool_positions_m[judged])
+    ax.plot(*planned.T, color="white", lw=5.0, solid_capstyle="round")
+    draw_speed(figure, ax, driven, speed[judged], motion.settings.v_max_mps, "executed speed", linewidths=3.0)
+    closest = int(np.argmin(np.where(judged, execution.tool_to_hand_m, np.inf)))
+    pose = np.append(execution.tool_positions_m[closest], yaw_of(execution.tool_quaternions[closest]))
+    edge, _ = camera.project(body_outlines(pose[None], execution.body)[0])
+    ax.fill(*edge.T, facecolor="white", edgecolor="none", alpha=0.35)
+    ax.plot(*edge.T, color=INK, lw=1.4)
+    nearest_mm = 1000 * execution.tool_to_hand_m[closest]
+    handles = [
+        level,
+        Line2D([], [], color=INK, lw=1.4, label=f"the tool where it came closest, {nearest_mm:.1f} mm"),
+        *mark_ends(ax, planned),
+    ]
+    finish_image(ax, handles, camera)
+    if execution.stop_reason:
+        ax.set_title(f"stopped by the monitor: {execution.stop_reason}", color=LIMIT, fontsize=9, loc="left")
+
+
+def _draw_limits(axes: list[Axes], motion: PlannedMotion, execution: Execution, speed: Array) -> None:
+    profile, settings, judged = motion.profile, motion.settings, execution.judged
+    assert profile is not None
+    way, planned = 1000 * way_of_samples_m(execution)[judged], 1000 * profile.arc_length_m
+    clear, error, fast = axes
+    clear.plot(way, 1000 * execution.tool_to_hand_m[judged], color=CLEAR, lw=1.8, label="to the true hand")
+    clear.plot(planned, 1000 * profile.clearance_m, color=INK, lw=1.1, ls="--", label="planned clearance $d_o$")
+    clear.set(ylabel="distance [mm]", ylim=(0, None))
+    allowed = motion.tracking.error_m(np.maximum(execution.reference_speed_mps[judged], settings.v_min_mps))
+    error.plot(way, 1000 * execution.workspace_error_m[judged], color=SIGNAL, lw=1.4, label="tracking error")
+    error.plot(way, 1000 * allowed, color=LIMIT, lw=1.3, ls="--", label=r"bound $\gamma(v)$")
+    error.set_yscale("log")
+    error.set_ylabel("error [mm]")
+    fast.plot(planned, 1000 * profile.limit_mps, color=LIMIT, lw=1.3, ls="--", label="limit $v^*$")
+    fast.plot(planned, 1000 * profile.speed_mps, color=INK, lw=1.0, ls=":", label="scheduled")
+    fast.plot(way, 1000 * speed[judged], color=SIGNAL, lw=1.6, label="executed")
+    fast.set(ylabel="speed [mm/s]", xlabel="way along the path [mm]", ylim=(0, 1080 * settings.v_max_mps))
+    finish_plots(axes)

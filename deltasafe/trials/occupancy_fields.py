@@ -1,0 +1,104 @@
+"""What the ensemble sees in each logged scene, and the occupancy field that follows from it."""
+
+import pathlib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.compute.progress import Progress, silent
+from deltasafe.errors import DataError
+from deltasafe.io.storage import atomic_folder, read_json, write_json
+from deltasafe.perception.data.labeled_images import read_mask, read_rgb
+from deltasafe.scene import FieldSettings, ImageStamp, LoggedScene, OccupancyGrid, grid_from_image
+
+if TYPE_CHECKING:
+    from deltasafe.perception.inference.ensemble import Ensemble
+
+__all__ = ["load_occupancy_grid", "load_p_occupied", "load_seen", "missed_hand", "write_fields"]
+
+
+def write_fields(
+    ensemble: "Ensemble",
+    scenes: Sequence[LoggedScene],
+    folder: str | pathlib.Path,
+    settings: FieldSettings,
+    progress: Progress = silent,
+) -> None:
+    """For each scene `p_occupied.npy` (H, W) float32, `grid.npz` and, which image it was, `seen.json`; whole or not.
+
+    Raises:
+        DataError: an image is unreadable or not of its camera's size.
+    """
+    with atomic_folder(folder) as temporary:
+        for done, scene in enumerate(scenes, start=1):
+            rgb = read_rgb(scene.image_path)
+            if rgb.shape[:2] != (scene.camera.height, scene.camera.width):
+                raise DataError(
+                    scene.image_path,
+                    f"is {rgb.shape[1]} x {rgb.shape[0]} pixels, its camera has "
+                    f"{scene.camera.width} x {scene.camera.height}",
+                )
+            p_occupied = ensemble.p_occupied(rgb)
+            (temporary / scene.id).mkdir()
+            np.save(temporary / scene.id / "p_occupied.npy", p_occupied, allow_pickle=False)
+            grid = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, settings)
+            grid.save(temporary / scene.id / "grid.npz")
+            write_json(temporary / scene.id / "seen.json", ImageStamp.of(rgb))
+            progress(done, len(scenes), f"looked at {scene.id}")
+
+
+def load_occupancy_grid(folder: str | pathlib.Path, scene_id: str) -> OccupancyGrid:
+    """The occupancy field of a scene.
+
+    Raises:
+        DataError: there is none in ``folder``.
+    """
+    return OccupancyGrid.load(pathlib.Path(folder) / scene_id / "grid.npz")
+
+
+def load_seen(folder: str | pathlib.Path, scene_id: str) -> ImageStamp:
+    """Which image the field of a scene was made from.
+
+    Raises:
+        DataError: that is not written there.
+    """
+    file = pathlib.Path(folder) / scene_id / "seen.json"
+    try:
+        return ImageStamp(**read_json(file))
+    except (TypeError, ValueError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(file, f"names no image ({error}); make the occupancy fields again") from error
+
+
+def load_p_occupied(folder: str | pathlib.Path, scene_id: str) -> NDArray[np.float32]:
+    """(H, W) float32: what the ensemble saw in the image of a scene.
+
+    Raises:
+        DataError: there is none in ``folder``.
+    """
+    file = pathlib.Path(folder) / scene_id / "p_occupied.npy"
+    try:
+        stored: NDArray[np.float32] = np.load(file, allow_pickle=False)
+    except (OSError, EOFError, ValueError, MemoryError) as error:
+        raise DataError(file, f"is not readable ({error}); make the occupancy fields again") from error
+    return stored
+
+
+def missed_hand(scenes: Sequence[LoggedScene], folder: str | pathlib.Path, delta: float) -> dict[str, float]:
+    """Share of each scene's true hand that a planner would take for free (p_occupied <= delta), by scene.
+
+    For judging alone: the true mask is what neither the ensemble nor the planner has.
+
+    Raises:
+        DataError: a mask is unreadable, or shows no hand.
+    """
+    shares = {}
+    for scene in scenes:
+        mask, p_occupied = read_mask(scene.mask_path), load_p_occupied(folder, scene.id)
+        if mask.shape != p_occupied.shape:
+            raise DataError(scene.mask_path, f"is {mask.shape}, the image {p_occupied.shape} pixels; restore it")
+        shares[scene.id] = float((p_occupied[mask > 0] <= delta).mean())
+    return shares

@@ -1,0 +1,132 @@
+"""`make demo`: the whole chain as one Dagster run, watched from the terminal; then where everything is."""
+
+import argparse
+import os
+import pathlib
+import sys
+import time
+from typing import Any
+
+from deltasafe.io.storage import read_json, write_json
+from deltasafe.presets import VARIABLE
+from pipelines.automation.lost_runs import fail_lost_runs
+from pipelines.commands.pictures import record_pictures
+from pipelines.commands.provenance import commit, machine
+from pipelines.home import prepare_home
+
+__all__ = ["main"]
+
+
+def everything():  # type: ignore[no-untyped-def]
+    """The job, found again by name in the processes of its steps."""
+    from pipelines.definitions import defs
+
+    return defs().resolve_job_def("everything")
+
+
+def main() -> int:
+    """Run the job; 0 if every step and every blocking check passed, 1 otherwise."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.commands.demo", description=__doc__)
+    parser.add_argument("--record", type=pathlib.Path, help="also write the figures to this file (docs/results/...)")
+    options = parser.parse_args()
+    root = prepare_home()
+    preset = os.environ.get(VARIABLE) or "default"
+    if options.record and (root / "store").exists():
+        print(f"{root} holds earlier work, which a run would find finished: its minutes would not be those of a whole")
+        print("run. Record into a fresh home: DELTASAFE_HOME=/some/new/folder make record")
+        return 1
+    print(f"Preset {preset!r}; everything that is made goes to {root}", flush=True)
+
+    import dagster as dg
+
+    began_s = time.monotonic()
+    with dg.DagsterInstance.get() as instance:
+        fail_lost_runs(instance)  # a killed one would hold its pool for ever
+        loggers: dict[str, Any] = {"loggers": {"console": {"config": {}}}}
+        result = dg.execute_job(dg.reconstructable(everything), instance=instance, run_config=loggers)
+        run_id, success = result.run_id, result.success
+    minutes = (time.monotonic() - began_s) / 60
+    if not success:
+        print(f"\nThe run {run_id} failed after {minutes:.1f} minutes. `make demo` goes on with what is finished;")
+        print("`make ui` shows the run and the failed step.")
+        return 1
+    figures = _figures(root) | {"minutes_total": round(minutes, 1)}
+    command = f"make {'record' if options.record else 'demo'}" + ("" if preset == "default" else f" PRESET={preset}")
+    record = {
+        "figures": figures,
+        "command": command,
+        "commit": commit(),
+        "seeds": _seeds(root),
+        "machine": machine(),
+    }
+    write_json(root / "results.json", record)
+    if options.record:
+        write_json(options.record, record)
+        record_pictures(_folder(root, "augmented_hands"), *_reports(root), options.record.with_suffix(""))
+    _print_summary(root, figures)
+    return 0
+
+
+def _reports(root: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
+    return _folder(root, "calibration_report"), _folder(root, "safety_report")
+
+
+def _figures(root: pathlib.Path) -> dict[str, float]:
+    from deltasafe.perception.calibration.report import CalibrationReport
+    from deltasafe.trials.safety_report import read_figures
+
+    calibration, safety = _reports(root)
+    figures = {**CalibrationReport.load(calibration).figures(), **read_figures(safety)}
+    return {name: round(value, 6) for name, value in figures.items()}
+
+
+def _seeds(root: pathlib.Path) -> dict[str, int]:
+    """As they stand in what was made; members and scenes count up from theirs."""
+    from deltasafe.perception.data.augmented_set import AugmentedSet
+    from deltasafe.trials.executions import load_execution, load_outcomes
+    from deltasafe.trials.motions import load_motion
+
+    executions = _folder(root, "executed_motions")
+    outcomes = load_outcomes(executions)
+    executed = [index for index, outcome in enumerate(outcomes) if outcome.executed]
+    seeds = {
+        "augmentation": AugmentedSet.load(_folder(root, "augmented_hands")).settings.seed,
+        "members_from": min(read_json(_folder(root, "frozen_ensemble") / "manifest.json")["seeds"]),
+        "planning_from": load_motion(_folder(root, "planned_motions"), outcomes[0].scene_id).seed,
+    }
+    if executed:
+        first = executed[0]
+        seeds["execution_from"] = load_execution(executions, outcomes[first].scene_id).seed - first
+    return seeds
+
+
+def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
+    from pipelines.commands.run_job import made  # dagster is loaded only once the run is about to begin
+
+    return made(root, asset)
+
+
+def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:
+    calibration, safety = _reports(root)
+    films = sorted(safety.glob("*.gif"))
+    print(f"\nDone in {figures['minutes_total']:.1f} minutes.\n")
+    print(
+        f"  {int(figures['n_members'])} members: pixel accuracy {figures['pa']:.4f}, mIoU {figures['miou']:.4f}, "
+        f"NLL {figures['nll']:.4f}, Brier score {figures['bs']:.4f}"
+    )
+    print(
+        f"  {int(figures['scenes_executed'])} of {int(figures['scenes'])} scenes executed, "
+        f"{int(figures['scenes_safe'])} safe throughout, {int(figures['contacts'])} contacts with hand or table\n"
+    )
+    print(f"  calibration report  {calibration / 'report.md'}")
+    print(f"  safety report       {safety / 'report.md'}")
+    print(f"  films               {', '.join(str(film) for film in films) or 'none'}")
+    print(f"  frozen ensemble     {_folder(root, 'frozen_ensemble')}")
+    if _folder(root, "champion") != _folder(root, "frozen_ensemble"):
+        print(f"  which was refused; the motions are those of {_folder(root, 'champion')}: see `make registry`")
+    print(f"  figures             {root / 'results.json'}")
+    print("  UI                  make ui, then http://127.0.0.1:3000")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

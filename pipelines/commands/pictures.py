@@ -1,0 +1,49 @@
+"""Pictures of what a recorded run made, in sizes that a page can show."""
+
+import pathlib
+import shutil
+
+__all__ = ["record_pictures", "record_report"]
+
+
+def record_report(folder: pathlib.Path, destination: pathlib.Path) -> None:
+    """Copy `report.md` with its films, and its plots in few colors; ``destination`` is replaced."""
+    from PIL import Image
+
+    from deltasafe.io.storage import atomic_folder
+
+    with atomic_folder(destination) as temporary:
+        for file in (folder / "report.md", *sorted(folder.glob("*.gif"))):
+            shutil.copyfile(file, temporary / file.name)
+        for plot in sorted(folder.glob("*.png")):
+            with Image.open(plot) as opened:
+                reduced = opened.convert("RGB").quantize(128, dither=Image.Dither.NONE)
+            reduced.save(temporary / plot.name, optimize=True)
+
+
+def record_pictures(
+    augmented: pathlib.Path, calibration: pathlib.Path, safety: pathlib.Path, destination: pathlib.Path
+) -> None:
+    """For the README: copy the contact sheet, the reliability diagram, and plan and film of the closest execution.
+
+    Args:
+        augmented, calibration, safety: folders of the run's augmented set and of its two reports.
+        destination: folder of the pictures, replaced.
+    """
+    from PIL import Image
+
+    from deltasafe.io.storage import atomic_folder, read_json
+
+    with atomic_folder(destination) as temporary:
+        shutil.copyfile(calibration / "reliability.png", temporary / "reliability.png")
+        pictures = {"augmentation": augmented.with_name(f"{augmented.name}-sheet.png")}
+        filmed = [scene for scene in read_json(safety / "report.json")["scenes"] if scene["film"]]
+        if filmed:
+            closest = min(filmed, key=lambda scene: scene["verdict"]["min_tool_to_hand_m"] or 0.0)
+            shutil.copyfile(safety / closest["film"], temporary / "execution.gif")
+            pictures["plan"] = safety / f"{closest['scene_id']}-plan.png"
+        for name, path in pictures.items():
+            with Image.open(path) as opened:
+                picture = opened.convert("RGB")
+            picture.thumbnail((1600, 1600))
+            picture.save(temporary / f"{name}.jpg", quality=82)

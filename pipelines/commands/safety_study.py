@@ -1,0 +1,120 @@
+"""`make safety-study`: thousands of executed motions as one Dagster run; finished situations are found again."""
+
+import argparse
+import os
+import pathlib
+import sys
+from typing import Any
+
+from deltasafe.errors import DeltasafeError
+from deltasafe.io.storage import read_json
+from deltasafe.presets import VARIABLE
+from pipelines.commands.pictures import record_report
+from pipelines.home import prepare_home
+
+__all__ = ["main"]
+
+
+def safety_study():  # type: ignore[no-untyped-def]
+    """The job, found again by name in the processes of its steps."""
+    from pipelines.definitions import defs
+
+    return defs().resolve_job_def("safety_study")
+
+
+def main() -> int:
+    """Run the job, or film one trial of the last run; 0 if every step passed, 1 otherwise."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.commands.safety_study", description=__doc__)
+    parser.add_argument("--record", type=pathlib.Path, help="also merge the figures into this file (docs/results/...)")
+    parser.add_argument("--scenes", type=pathlib.Path, nargs="+", metavar="DIR", help="folders of scenes; the packaged")
+    parser.add_argument("--executions", type=int, help="motions to execute at least")
+    parser.add_argument(
+        "--ensemble", type=pathlib.Path, metavar="DIR", help="a frozen ensemble; the one in use by default"
+    )
+    parser.add_argument("--gamma", type=float, nargs=2, metavar=("GAMMA0_M", "GAMMA1_S"), help="another tracking bound")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one a core by default")
+    parser.add_argument("--film", type=int, metavar="TRIAL", help="only film this trial of the last run")
+    options = parser.parse_args()
+    root = prepare_home()
+    if options.film is not None:
+        return _film(root, options.film)
+    print(f"Everything that is made goes to {root}", flush=True)
+
+    import dagster as dg
+
+    from pipelines.commands.run_job import made, succeeded
+
+    study: dict[str, Any] = {}
+    if options.executions is not None:
+        study["n_executions"] = options.executions
+    if options.gamma:
+        study["motion"] = dict(zip(("gamma0_m", "gamma1_s"), options.gamma, strict=True))
+    trials: dict[str, Any] = {"workers": options.workers, "study": study}
+    if options.scenes:
+        trials["scenes"] = [str(folder.expanduser().resolve()) for folder in options.scenes]
+    if options.ensemble:
+        trials["ensemble"] = str(options.ensemble.expanduser().resolve())
+    if not succeeded(dg.reconstructable(safety_study), {"safety_trials": trials}, "`make safety-study`"):
+        return 1
+    folder = made(root, "safety_study_report")
+    figures = read_json(folder / "figures.json")
+    _print_summary(folder, figures)
+    if options.record:
+        _record(options, figures, folder)
+    return 0
+
+
+def _film(root: pathlib.Path, trial: int) -> int:
+    from deltasafe.execution import save_film
+    from deltasafe.studies.safety import SafetyStudy, replay
+    from pipelines.commands.run_job import made
+
+    try:
+        study = SafetyStudy.load(made(root, "safety_trials"))
+        eyes = study.inputs.eyes
+        assert eyes is not None
+        scene, execution = replay(study.settings, study.inputs.scenes, eyes, trial)
+        film = pathlib.Path(f"trial-{trial}.gif")
+        save_film(film, execution, scene.camera, scene.true_mesh(), table_z_m=scene.table_z_m)
+    except DeltasafeError as error:
+        print(f"safety_study: {error}", file=sys.stderr)
+        return 1
+    print(film)
+    return 0
+
+
+def _record(options: argparse.Namespace, figures: dict[str, float], folder: pathlib.Path) -> None:
+    """Merge into the record: figures that others put there stay; the report lies beside it, pictures reduced."""
+    from pipelines.commands.records import merge_part
+
+    destination: pathlib.Path = options.record
+    study = read_json(folder / "study.json")
+    preset = os.environ.get(VARIABLE) or "default"
+    given = [] if preset == "default" else [f"{VARIABLE}={preset}"]
+    given += ["python -m pipelines.commands.safety_study"]
+    given += ["--scenes", *(folder.name for folder in options.scenes)] if options.scenes else []
+    given += ["--executions", str(options.executions)] if options.executions is not None else []
+    given += ["--gamma", *(f"{value:g}" for value in options.gamma)] if options.gamma else []
+    merge_part(
+        destination,
+        "safety_study",
+        figures,
+        command=" ".join(given),
+        seeds={"situations": study["settings"]["seed"]},
+        ensemble=pathlib.Path(study["ensemble"]).name,
+        settings=study["settings"],
+    )
+    record_report(folder, destination.parent / "safety_study")
+
+
+def _print_summary(folder: pathlib.Path, figures: dict[str, float]) -> None:
+    print(f"\n{figures['executions']:.0f} motions executed in {figures['minutes']:.1f} minutes ", end="")
+    print(f"({figures.get('realtime_factor', 0.0):.1f} times as fast as the arm), {figures['failures']:.0f} failures\n")
+    for name in sorted(figures):
+        if name.startswith(("violation_upper95", "joint_", "contacts")):
+            print(f"  {name:40s} {figures[name]:g}")
+    print(f"\n  report  {folder / 'report.md'}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

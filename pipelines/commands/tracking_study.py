@@ -1,0 +1,69 @@
+"""`make tracking-study`: gamma(v) identified as one Dagster run; finished batches are found again."""
+
+import argparse
+import os
+import pathlib
+import sys
+
+from deltasafe.io.storage import atomic_folder, read_json
+from deltasafe.presets import VARIABLE
+from pipelines.commands.records import merge_part
+from pipelines.home import prepare_home
+
+__all__ = ["main"]
+
+
+def tracking_study():  # type: ignore[no-untyped-def]
+    """The job, found again by name in the processes of its steps."""
+    from pipelines.definitions import defs
+
+    return defs().resolve_job_def("tracking_study")
+
+
+def main() -> int:
+    """Run the job; 0 if every step passed, 1 otherwise."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.commands.tracking_study", description=__doc__)
+    parser.add_argument("--record", type=pathlib.Path, help="also merge the figures into this file (docs/results/...)")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one a core by default")
+    options = parser.parse_args()
+    root = prepare_home()
+    print(f"Everything that is made goes to {root}", flush=True)
+
+    import dagster as dg
+
+    from pipelines.commands.run_job import made, succeeded
+
+    steps = {"tracking_bound": {"workers": options.workers}}
+    if not succeeded(dg.reconstructable(tracking_study), steps, "The same command"):
+        return 1
+    folder = made(root, "tracking_bound")
+    report = folder.with_name(f"{folder.name}-report")
+    figures = read_json(report / "figures.json")
+    for name, value in figures.items():
+        print(f"  {name:42s} {value:.6g}")
+    print(f"\n  report  {report / 'report.md'}")
+    if options.record:
+        _record(options.record, figures, folder, report)
+    return 0
+
+
+def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathlib.Path, report: pathlib.Path) -> None:
+    """Merge the figures into the record; the report lies beside it."""
+    preset = os.environ.get(VARIABLE) or "default"
+    command = "python -m pipelines.commands.tracking_study"
+    settings = read_json(folder / "study.json")["settings"]
+    merge_part(
+        destination,
+        "tracking_study",
+        figures,
+        command=command if preset == "default" else f"{VARIABLE}={preset} {command}",
+        seeds={"runs_from": settings["first_seed"]},
+        settings=settings,
+    )
+    with atomic_folder(destination.parent / "tracking_study") as temporary:
+        for name in ("report.md", "tracking.png"):
+            (temporary / name).write_bytes((report / name).read_bytes())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

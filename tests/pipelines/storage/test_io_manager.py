@@ -1,0 +1,108 @@
+"""Pointers to folders: the old version or the new one, never half of one."""
+
+import dagster as dg
+import pytest
+
+from assets.interfaces import Store
+from deltasafe.errors import DataError, SettingsError
+from pipelines.storage.io_manager import FolderPointers
+
+PARTS = dg.StaticPartitionsDefinition(["a", "b"])
+
+
+@pytest.fixture
+def home(tmp_path):
+    return tmp_path / "home"
+
+
+def materialize(home, assets, **options):
+    return dg.materialize(assets, resources={"io_manager": FolderPointers(home=str(home))}, **options)
+
+
+def maker(home, version):
+    @dg.asset
+    def made():
+        folder = home / "store" / version
+        folder.mkdir(parents=True)
+        return folder
+
+    return made
+
+
+def test_a_consumer_reads_the_folder_that_was_last_made(home):
+    read = []
+
+    @dg.asset
+    def used(made):
+        read.append(made)
+
+    materialize(home, [maker(home, "one"), used])
+    materialize(home, [maker(home, "two")])
+    materialize(home, [maker(home, "three").to_source_assets()[0], used])
+    assert [path.name for path in read] == ["one", "two"]
+
+
+def test_a_home_can_be_moved(home, tmp_path):
+    materialize(home, [maker(home, "one")])
+    moved = home.rename(tmp_path / "elsewhere")
+    assert FolderPointers(home=str(moved)).folder(dg.AssetKey("made")) == moved / "store" / "one"
+
+
+def test_partitions_are_read_as_a_dictionary_however_they_were_made(home):
+    @dg.asset(partitions_def=PARTS, backfill_policy=dg.BackfillPolicy.single_run())
+    def parts(context: dg.AssetExecutionContext):
+        folders = {key: home / "store" / key for key in context.partition_keys}
+        for folder in folders.values():
+            folder.mkdir(parents=True, exist_ok=True)
+        return folders
+
+    read = []
+
+    @dg.asset
+    def used(parts):
+        read.append({key: path.name for key, path in parts.items()})
+
+    whole = {"dagster/asset_partition_range_start": "a", "dagster/asset_partition_range_end": "b"}
+    materialize(home, [parts], tags=whole)
+    materialize(home, [parts], partition_key="b")
+    materialize(home, [parts.to_source_assets()[0], used])
+    assert read == [{"a": "a", "b": "b"}]
+
+
+def test_what_was_never_made_or_was_removed_is_named(home):
+    pointers = FolderPointers(home=str(home))
+    with pytest.raises(DataError, match="materialize made first"):
+        pointers.folder(dg.AssetKey("made"))
+    materialize(home, [maker(home, "one")])
+    (home / "store" / "one").rmdir()
+    with pytest.raises(DataError, match="materialize made again"):
+        pointers.folder(dg.AssetKey("made"))
+
+
+def test_a_run_sees_its_own_folders_whatever_another_run_makes_meanwhile(home):
+    read = []
+
+    @dg.asset
+    def made():
+        folder = home / "store" / "mine"
+        folder.mkdir(parents=True)
+        return folder
+
+    @dg.asset(deps=[made])
+    def meanwhile():
+        materialize(home, [maker(home, "of another run")])
+
+    @dg.asset(deps=[meanwhile])
+    def used(made):
+        read.append(made.name)
+
+    assert materialize(home, [made, meanwhile, used]).success
+    assert read == ["mine"]
+    assert FolderPointers(home=str(home)).folder(dg.AssetKey("made")).name == "of another run"
+
+
+@pytest.mark.parametrize("name", ["", "..", ".", "../../elsewhere", "a/b", "/etc", "a\0b", "a\nb"])
+def test_a_name_cannot_lead_out_of_the_store(home, name):
+    with pytest.raises(SettingsError, match="cannot be the name of a folder"):
+        Store(home, home).folder("logged_scene", name)
+    assert Store(home, home).folder("logged_scene", "scene_000-1").is_relative_to(home)

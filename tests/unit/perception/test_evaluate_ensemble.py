@@ -1,0 +1,97 @@
+"""From members and folders of images to a report, and from there to a frozen ensemble that uses what was fitted."""
+
+import dataclasses
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.io.storage import read_json
+from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
+from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
+from deltasafe.perception.data.labeled_images import LabeledImageSet
+from deltasafe.perception.evaluate_ensemble import evaluate_members, freeze_evaluated
+from deltasafe.perception.settings import InferenceSettings, NetworkSettings
+from deltasafe.perception.training.member import Member
+from deltasafe.perception.training.network import build_network
+
+NETWORK = NetworkSettings(pretrained=False, pyramid_channels=16)
+INFERENCE = InferenceSettings(64, 48)
+SETTINGS = CalibrationSettings(n_bootstrap=100, missed_hand_alpha=0.4)
+
+
+def hands(folder, n_images, seed):
+    rng = np.random.default_rng(seed)
+    for part in ("images", "masks"):
+        (folder / part).mkdir(parents=True)
+    for index in range(n_images):
+        mask = np.zeros((48, 64), np.uint8)
+        mask[12:40, rng.integers(4, 20) : rng.integers(30, 60)] = 255
+        image = rng.integers(0, 90, (48, 64, 3), dtype=np.uint8) + mask[..., None] // 2
+        cv2.imwrite(str(folder / "images" / f"x_{index}.png"), image)
+        cv2.imwrite(str(folder / "masks" / f"x_{index}.png"), mask)
+    return LabeledImageSet.load(folder)
+
+
+@pytest.fixture(scope="module")
+def members(tmp_path_factory):
+    record = {"settings": {"network": dataclasses.asdict(NETWORK)}, "data_digest": "d" * 64, "ensemble_identity": "e"}
+    return [
+        Member.write(tmp_path_factory.mktemp("member"), build_network(NETWORK, seed), {**record, "seed": seed})
+        for seed in range(2)
+    ]
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory):
+    root = tmp_path_factory.mktemp("hands")
+    return hands(root / "test", 4, seed=1), hands(root / "calibration", 5, seed=2)
+
+
+def evaluate(members, sets, folder, **options):
+    return evaluate_members(
+        members, sets[0], folder, inference=INFERENCE, settings=SETTINGS, planning_delta=0.05, device="cpu", **options
+    )
+
+
+def test_the_frozen_ensemble_uses_the_temperature_of_the_calibration_images(members, sets, tmp_path):
+    folder = tmp_path / "report"
+    report = evaluate(members, sets, folder, calibration=sets[1])
+    assert CalibrationReport.load(folder) == report
+    assert (len(report.image_ids), report.n_calibration_images) == (4, 5)
+    assert read_json(folder / "judged.json")["calibration_digest"] == sets[1].digest
+    rgb = sets[0].read(0)[0]
+    frozen = freeze_evaluated(members, folder, rgb, tmp_path)
+    ensemble = load_ensemble(frozen)
+    temperature = report.recalibrated.temperature
+    assert ensemble.calibration.temperature == ensemble.temperature == temperature != 1.0
+    mean = ensemble.member_p_occupied(rgb).mean(axis=0)
+    odds = (mean / (1 - mean)) ** (1 / temperature)
+    np.testing.assert_allclose(ensemble.p_occupied(rgb), odds / (1 + odds), atol=1e-5)
+    assert ensemble.manifest["provenance"]["calibration_images"] == sets[1].digest
+    card = (frozen / "model_card.md").read_text()
+    assert f"temperature of **{temperature:.3f}**" in card
+    threshold = report.risk_control.threshold
+    assert threshold is not None
+    assert f"`p_occupied <= {threshold:.3g}` (conformal risk control on 5 images" in card
+
+
+def test_without_calibration_images_the_test_images_are_cross_fitted(members, sets, tmp_path):
+    report = evaluate(members, sets, tmp_path / "report")
+    assert report.calibration_image_ids == ()
+    assert report.recalibrated.lowest < report.recalibrated.highest
+    assert "calibration_digest" not in read_json(tmp_path / "report" / "judged.json")
+    with pytest.raises(SettingsError, match="other members"):
+        freeze_evaluated(members[:1], tmp_path / "report", sets[0].read(0)[0], tmp_path)
+
+
+def test_an_image_in_both_sets_is_named_before_anything_is_written(members, sets, tmp_path):
+    mixed = tmp_path / "mixed"
+    shutil.copytree(sets[1].items[0].image.parents[1], mixed)
+    shutil.copyfile(sets[0].items[2].image, mixed / "images" / "x_3.png")
+    shutil.copyfile(sets[0].items[2].mask, mixed / "masks" / "x_3.png")
+    with pytest.raises(DataError, match=r"x_2.png: is a calibration image as well"):
+        evaluate(members, sets, tmp_path / "report", calibration=LabeledImageSet.load(mixed))
+    assert not (tmp_path / "report").exists()

@@ -1,0 +1,121 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deltasafe.errors import SettingsError
+from deltasafe.planning import DistanceField
+from deltasafe.planning.collision.distance_field import REACH_M
+from deltasafe.planning.collision.distance_transform import squared_distance_in_slabs, squared_distance_to_voxels
+from deltasafe.scene import OccupancyGrid
+
+
+def box_distance(points: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """(N,) smallest distance of points (N, 3) to any of the boxes (M, 3), (M, 3)."""
+    gaps = np.maximum(np.maximum(lower[None] - points[:, None], points[:, None] - upper[None]), 0)
+    return np.linalg.norm(gaps, axis=2).min(axis=1)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 9), st.floats(0.01, 0.3))
+def test_distance_transform_against_brute_force(seed: int, reach: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    unsafe = rng.random(rng.integers(1, 9, 3)) < share
+    squared = squared_distance_to_voxels(unsafe, reach)
+    cells = np.argwhere(unsafe)
+    centers = np.argwhere(np.ones_like(unsafe)) + 0.5
+    expected = np.full(len(centers), float(reach**2))
+    if len(cells):
+        expected = np.minimum(box_distance(centers, cells, cells + 1) ** 2, reach**2)
+    np.testing.assert_array_equal(squared.ravel(), np.rint(4 * expected))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**31), st.integers(0, 3), st.integers(1, 9), st.floats(0.01, 0.3))
+def test_distances_in_slabs_against_brute_force(seed: int, half: int, reach: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    unsafe = rng.random(rng.integers(1, 9, 3)) < share
+    squared = squared_distance_in_slabs(unsafe, half, reach)
+    assert squared.shape == unsafe.shape
+    for k, found in enumerate(squared.transpose(2, 0, 1)):
+        slab = unsafe[:, :, max(k - half, 0) : k + half + 1].any(axis=2)
+        cells = np.argwhere(slab)
+        centers = np.argwhere(np.ones_like(slab)) + 0.5
+        expected = np.full(len(centers), float(reach**2))
+        if len(cells):
+            expected = np.minimum(box_distance(centers, cells, cells + 1) ** 2, reach**2)
+        np.testing.assert_array_equal(found.ravel(), np.rint(4 * expected))
+
+
+def truth(grid: OccupancyGrid, delta: float, points: np.ndarray) -> np.ndarray:
+    """Distance to unsafe voxels, to everything beside the grid below its top, and to the table."""
+    cells = np.argwhere(grid.p_occupied > delta)
+    lower = grid.origin_m + cells * grid.voxel_m
+    far = 9.0
+    (x0, y0, z0), (x1, y1, z1) = grid.origin_m, grid.upper_m
+    sides_low = [[-far, -far, z0], [x1, -far, z0], [-far, -far, z0], [-far, y1, z0], [-far, -far, -far]]
+    sides_high = [[x0, far, z1], [far, far, z1], [far, y0, z1], [far, far, z1], [far, far, z0]]
+    return box_distance(points, np.vstack([lower, sides_low]), np.vstack([lower + grid.voxel_m, sides_high]))
+
+
+def test_clearance_is_a_tight_lower_bound_everywhere() -> None:
+    rng = np.random.default_rng(4)
+    p_occupied = np.where(rng.random((20, 16, 8)) < 0.01, rng.random((20, 16, 8)), 0).astype(np.float32)
+    grid = OccupancyGrid(p_occupied, np.array([-0.05, 0.1, 0.2]), 0.005)
+    field = DistanceField.build(grid, 0.05)
+    points = rng.uniform(grid.origin_m - 0.02, grid.upper_m + np.array([0.02, 0.02, 0.12]), (3000, 3))
+    expected = truth(grid, 0.05, points)
+    clearance_m = field.clearance_m(points)
+    assert (clearance_m <= expected + 1e-9).all()
+    free = expected > 0
+    assert 500 < free.sum() < 2900
+    assert (clearance_m[~free] <= 0).all()
+    assert (clearance_m >= np.minimum(expected, REACH_M) - grid.voxel_m * np.sqrt(3) - 1e-9)[free].all()
+    assert ((clearance_m > 0) <= (grid.at(points) <= 0.05)).all()
+
+
+def test_the_ray_array_bounds_all_that_is_above() -> None:
+    rng = np.random.default_rng(5)
+    grid = OccupancyGrid((rng.random((12, 12, 10)) < 0.01).astype(np.float32), np.zeros(3), 0.005)
+    arrays = DistanceField.build(grid, 0.5).arrays
+    for k in range(arrays.ball.shape[2]):
+        assert (arrays.ray[:, :, k] == arrays.ball[:, :, k:].min(axis=2)).all()
+
+
+def test_the_coarse_grid_bounds_the_fine_one() -> None:
+    rng = np.random.default_rng(6)
+    grid = OccupancyGrid((rng.random((21, 17, 10)) < 0.01).astype(np.float32), np.zeros(3), 0.0025)
+    field = DistanceField.build(grid, 0.5)
+    arrays = field.arrays
+    index = np.argwhere(arrays.ball > 0)
+    for bound_m, squared in zip(field.coarse_clearance_m, (arrays.ball, arrays.ray), strict=True):
+        there = bound_m[tuple((index // arrays.lattice.stride).T)]
+        exact_m = np.sqrt(squared[tuple(index.T)]) * 0.00125
+        capped = squared == squared.max()
+        assert (there <= np.where(capped[tuple(index.T)], np.inf, exact_m - 0.0025 * np.sqrt(3) / 2 + 1e-7)).all()
+        # beyond the reach of the voxels: no more than the true distance of a point to the farthest unsafe voxel
+        cells = np.argwhere(arrays.ball == 0)
+        for far in index[capped[tuple(index.T)]][:40]:
+            gap = np.maximum(np.abs(cells - far) - 0.5, 0)
+            if squared is arrays.ball:
+                assert bound_m[tuple(far // arrays.lattice.stride)] <= np.sqrt((gap**2).sum(axis=1).min()) * 0.0025
+    assert arrays.lattice.stride == 4
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0.02, 0.5), st.floats(0.02, 0.5))
+def test_a_smaller_delta_never_gives_more_room(seed: int, one: float, other: float) -> None:
+    rng = np.random.default_rng(seed)
+    grid = OccupancyGrid((rng.random((8, 8, 6)) ** 4).astype(np.float32), np.zeros(3), 0.01)
+    low, high = (DistanceField.build(grid, delta) for delta in sorted((one, other)))
+    for name in ("ball", "ray"):
+        assert (getattr(low.arrays, name) <= getattr(high.arrays, name)).all()
+    for less, more in zip(low.coarse_clearance_m, high.coarse_clearance_m, strict=True):
+        assert (less <= more).all()
+
+
+@pytest.mark.parametrize("delta", [0.0, 1.0, float("nan")])
+def test_delta_must_be_a_probability(delta: float) -> None:
+    grid = OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 0.01)
+    with pytest.raises(SettingsError, match="delta"):
+        DistanceField.build(grid, delta)

@@ -1,0 +1,225 @@
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from deltasafe.errors import SettingsError
+from deltasafe.planning import (
+    CheckSettings,
+    DistanceField,
+    SegmentTest,
+    ToolBody,
+    body_clearance_m,
+    is_segment_safe,
+    segment_test,
+)
+from deltasafe.planning.collision.distance_field import REACH_M
+from deltasafe.planning.collision.segment_tests import METHODS
+from deltasafe.scene import OccupancyGrid
+
+BODY = ToolBody()
+LOW, HIGH = np.array([-0.16, -0.11, 0.015, -1.6]), np.array([0.16, 0.11, 0.14, 1.6])
+FIXED = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def segments(seed: int, count: int, length: float = 0.06) -> list[tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(seed)
+    starts = rng.uniform(LOW, HIGH, (count, 4))
+    ends = starts + rng.normal(size=(count, 4)) * length * np.array([1, 1, 0.5, 8])
+    return list(zip(starts, ends, strict=True))
+
+
+def answers(test: SegmentTest, pairs: list) -> np.ndarray:
+    return np.array([is_segment_safe(test, a, b) for a, b in pairs])
+
+
+@pytest.fixture(scope="module")
+def grids(make_grid: Callable[..., OccupancyGrid]) -> list[OccupancyGrid]:
+    return [make_grid(seed) for seed in range(3)]
+
+
+@pytest.mark.parametrize("method", ["exact", "continuous"])
+def test_what_passes_holds_no_unsafe_pose(method: str, grids: list[OccupancyGrid], audit: Callable[..., float]) -> None:
+    margin_m, passed = 0.001, 0
+    for grid in grids:
+        test = segment_test(DistanceField.build(grid, 0.05), BODY, margin_m, CheckSettings(method=method))
+        for a, b in segments(1, 70):
+            if is_segment_safe(test, a, b):
+                passed += 1
+                assert audit(grid, 0.05, BODY, margin_m, np.array([a, b])) == 0
+    assert passed > 25
+
+
+def test_the_continuous_test_is_not_needlessly_strict(grids: list[OccupancyGrid], audit: Callable[..., float]) -> None:
+    """Segments that stay clear with 8 mm to spare (cover, voxels) pass."""
+    wide = 0
+    for grid in grids:
+        test = segment_test(DistanceField.build(grid, 0.05), BODY, 0.001)
+        for a, b in segments(2, 60):
+            if audit(grid, 0.05, BODY, 0.009, np.array([a, b]), 0.003) == 0:
+                wide += 1
+                assert is_segment_safe(test, a, b)
+    assert wide > 15
+
+
+def test_the_sampled_test_misses_what_the_continuous_one_sees(grids: list[OccupancyGrid]) -> None:
+    counts = dict.fromkeys(METHODS, 0)
+    for grid in grids:
+        field = DistanceField.build(grid, 0.05)
+        for method in METHODS:
+            test = segment_test(field, BODY, 0.0005, CheckSettings(method=method, n_samples=20))
+            counts[method] += answers(test, segments(3, 150)).sum()
+    # exact pays a whole half step of margin, continuous only what it needs, sampling misses thin overlaps
+    assert counts["exact"] < counts["continuous"] < counts["sampled"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_segments_are_symmetric(method: str, grids: list[OccupancyGrid]) -> None:
+    test = segment_test(DistanceField.build(grids[0], 0.05), BODY, 0.001, CheckSettings(method=method))
+    pairs = segments(4, 200)
+    there, back = answers(test, pairs), answers(test, [(b, a) for a, b in pairs])
+    assert (there == back).all()
+    assert 0 < there.sum() < len(there)
+
+
+@pytest.mark.parametrize("method", ["sampled", "exact"])
+def test_the_certificate_changes_no_answer(method: str, grids: list[OccupancyGrid]) -> None:
+    for grid in grids:
+        field = DistanceField.build(grid, 0.05)
+        on, off = (
+            segment_test(field, BODY, 0.001, CheckSettings(method=method, use_clearance_tables=flag), seed=5)
+            for flag in (True, False)
+        )
+        assert (answers(on, segments(5, 300)) == answers(off, segments(5, 300))).all()
+
+
+def test_a_finer_resolution_accepts_all_that_a_coarser_one_does(grids: list[OccupancyGrid]) -> None:
+    """So a path that the search accepted is never refused by its verification, which is the finest."""
+    gained = 0
+    for grid in grids:
+        field = DistanceField.build(grid, 0.05)
+        coarse, fine = (
+            answers(segment_test(field, BODY, 0.001, CheckSettings(resolution_m=resolution_m)), segments(7, 300))
+            for resolution_m in (0.002, 0.00025)
+        )
+        assert (fine >= coarse).all()
+        gained += int((fine > coarse).sum())
+    assert gained > 0
+
+
+@pytest.mark.parametrize("n_samples", [1, 15, 16, 17, 100, 333])
+def test_the_samples_are_looked_up_as_one_by_one(n_samples: int, grids: list[OccupancyGrid]) -> None:
+    """Whole blocks are looked up at once: those that are left over must not count, nor any beside the lattice."""
+    rng = np.random.default_rng(n_samples)
+    poses = rng.uniform(LOW - 0.03, HIGH + 0.03, (300, 4))
+    free = 0
+    for grid in grids:
+        field = DistanceField.build(grid, 0.05)
+        lattice, shape = field.arrays.lattice, np.array(field.arrays.ball.shape)
+        settings = CheckSettings("sampled", n_samples, redraw_samples=False, use_clearance_tables=False)
+        test = segment_test(field, BODY, 0.001, settings, seed=3)
+        points = test.pool.points[:, :n_samples].astype(np.float64).T / lattice.per_m
+        found = answers(test, [(pose, pose) for pose in poses])
+        for pose, answer in zip(poses, found, strict=True):
+            cos, sin = np.cos(pose[3]), np.sin(pose[3])
+            placed = points @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + pose[:3]
+            voxels = (placed - np.array(lattice[:3])) * lattice.per_m
+            if (np.abs(voxels - np.round(voxels)) < 2e-4).any():  # on a face, which single precision may miss
+                continue
+            unsafe = field.arrays.ball[tuple(np.clip(np.floor(voxels), 0, shape - 1).astype(int).T)] == 0
+            assert answer == (not unsafe.any() and (placed[:, 2] >= field.arrays.floor_z_m).all())
+            free += answer
+    assert free > 20
+
+
+def test_what_the_exact_test_accepts_holds_no_unsafe_sample(grids: list[OccupancyGrid]) -> None:
+    for grid in grids:
+        field = DistanceField.build(grid, 0.05)
+        sampled = segment_test(field, BODY, 0.001, CheckSettings(method="sampled", n_samples=300), seed=5)
+        exact = segment_test(field, BODY, 0.001, CheckSettings(method="exact"))
+        pairs = segments(6, 200)
+        assert (answers(sampled, pairs) >= answers(exact, pairs)).all()
+
+
+def test_more_samples_accept_fewer_segments_and_draws_depend_on_the_seed(grids: list[OccupancyGrid]) -> None:
+    field = DistanceField.build(grids[1], 0.05)
+    few, many, other = (
+        answers(segment_test(field, BODY, 0.001, CheckSettings(method="sampled", n_samples=n), seed), segments(6, 300))
+        for n, seed in ((5, 0), (2000, 0), (5, 1))
+    )
+    assert many.sum() < few.sum()
+    assert (few != other).any()
+
+
+@FIXED
+@given(st.sampled_from(METHODS[1:]), st.integers(0, 10**6), st.floats(0.02, 0.4), st.floats(0.02, 0.4))
+def test_a_smaller_delta_never_accepts_what_was_refused(
+    grids: list[OccupancyGrid], method: str, seed: int, one: float, other: float
+) -> None:
+    strict, lax = (
+        segment_test(DistanceField.build(grids[seed % 3], delta), BODY, 0.001, CheckSettings(method=method))
+        for delta in sorted((one, other))
+    )
+    assert (answers(strict, segments(seed, 20)) <= answers(lax, segments(seed, 20))).all()
+
+
+@FIXED
+@given(st.sampled_from(METHODS[1:]), st.integers(0, 10**6), st.floats(0, 0.01), st.floats(0, 0.01))
+def test_a_larger_margin_never_accepts_what_was_refused(
+    grids: list[OccupancyGrid], method: str, seed: int, one: float, other: float
+) -> None:
+    field = DistanceField.build(grids[seed % 3], 0.05)
+    lax, strict = (
+        segment_test(field, BODY, margin_m, CheckSettings(method=method)) for margin_m in sorted((one, other))
+    )
+    assert (answers(strict, segments(seed, 20)) <= answers(lax, segments(seed, 20))).all()
+
+
+def test_the_shaft_cannot_pass_under_what_the_disc_passes() -> None:
+    """A bar above the disc: the disc has room below it, the shaft does not."""
+    p_occupied = np.zeros((60, 40, 20), np.float32)
+    p_occupied[28:32, :, 14:18] = 1.0
+    field = DistanceField.build(OccupancyGrid(p_occupied, np.zeros(3), 0.005), 0.05)
+    test = segment_test(field, BODY, 0.0005)
+    assert is_segment_safe(test, np.array([0.05, 0.1, 0.03, 0.0]), np.array([0.10, 0.1, 0.03, 0.0]))
+    assert not is_segment_safe(test, np.array([0.05, 0.1, 0.03, 0.0]), np.array([0.25, 0.1, 0.03, 0.0]))
+    assert field.clearance_m(np.array([[0.15, 0.1, 0.03]]))[0] > 0.02
+
+
+def test_the_table_is_an_obstacle_and_high_above_all_is_free() -> None:
+    field = DistanceField.build(OccupancyGrid(np.zeros((80, 60, 8), np.float32), np.zeros(3), 0.005), 0.05)
+    test = segment_test(field, BODY, 0.001)
+    poses = np.array([[0.2, 0.15, z, 0.0] for z in (0.004, 0.0055, 0.0065, 0.02)])
+    assert [is_segment_safe(test, pose, pose) for pose in poses] == [False, False, True, True]
+    np.testing.assert_allclose(body_clearance_m(test, poses), poses[:, 2] - 0.005, atol=1e-9)
+    far = np.array([5.0, 5.0, 0.08, 0.0]), np.array([-5.0, 5.0, 0.08, 3.0])
+    assert is_segment_safe(test, *far)
+    low = np.array([0.2, 0.15, 0.02, 0.0]), np.array([0.39, 0.15, 0.02, 0.0])
+    assert not is_segment_safe(test, *low)  # half of the disc would leave the view
+
+
+def test_clearance_of_a_body_is_a_lower_bound_and_close(grids: list[OccupancyGrid]) -> None:
+    """Against thousands of points on the body and the distance field of each."""
+    field = DistanceField.build(grids[2], 0.05)
+    test = segment_test(field, BODY, 0.0)
+    poses = np.random.default_rng(8).uniform(LOW, HIGH, (60, 4))
+    points = BODY.samples(0.0, 20000, 1)
+    points = points[points[:, 2] < 0.1]
+    for pose, clearance_m in zip(poses, body_clearance_m(test, poses), strict=True):
+        cos, sin = np.cos(pose[3]), np.sin(pose[3])
+        there = field.clearance_m(points @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + pose[:3])
+        # points see a bound that is loose itself, and capped
+        assert min(clearance_m, REACH_M) <= there.min() + field.grid.voxel_m
+        if there.min() > 0:
+            assert clearance_m >= there.min() - 0.006
+
+
+@pytest.mark.parametrize(
+    "changes", [{"method": "hope"}, {"n_samples": 0}, {"delta_p_m": 0.0}, {"resolution_m": float("nan")}]
+)
+def test_settings_out_of_domain_are_refused(changes: dict) -> None:
+    with pytest.raises(SettingsError, match=next(iter(changes))):
+        dataclasses.replace(CheckSettings(), **changes)

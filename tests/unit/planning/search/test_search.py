@@ -1,0 +1,167 @@
+"""The search as something that goes on: in pieces, toward many goals, among changed surroundings."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deltasafe.errors import SettingsError
+from deltasafe.planning import (
+    CheckSettings,
+    DistanceField,
+    RrtStar,
+    SearchTree,
+    ToolBody,
+    line_cost,
+    segment_test,
+)
+from deltasafe.planning.search.cost import segment_cost
+from deltasafe.scene import OccupancyGrid
+from tests.unit.planning.walls import Wall, passes
+
+START, GOAL = np.array([-0.15, 0.0, 0.03, 0.0]), np.array([0.15, 0.02, 0.03, 0.3])
+LOWER, UPPER = np.array([-0.2, -0.15, 0.02, -1.6]), np.array([0.2, 0.15, 0.15, 1.6])
+ROOT = line_cost("root")
+
+
+WALL = Wall(0.06, 0.12, 0.02)
+
+
+def search(wall: Wall = WALL, cost: Any = ROOT, seed: int = 0, goals: Any = GOAL, **options: Any) -> RrtStar:
+    return RrtStar(wall, cost, START, goals, LOWER, UPPER, seed, **options)
+
+
+def same(one: SearchTree, two: SearchTree) -> bool:
+    return bool(
+        np.array_equal(one.nodes, two.nodes)
+        and np.array_equal(one.parent, two.parent)
+        and np.array_equal(one.cost, two.cost)
+    )
+
+
+def check(tree: SearchTree, cost: Any, wall: Wall) -> None:
+    """A tree, whose costs add up and whose edges pass."""
+    assert np.isfinite(tree.nodes).all()
+    assert not np.isnan(tree.cost).any()
+    assert tree.parent[0] == -1
+    assert tree.cost[0] == 0
+    for node in range(1, len(tree.nodes)):
+        parent = int(tree.parent[node])
+        if parent < 0:
+            assert node <= tree.n_goals
+            assert tree.cost[node] == np.inf
+            continue
+        assert parent == 0 or parent > tree.n_goals  # goals have no children
+        step = segment_cost(cost, tree.nodes[parent], tree.nodes[node])
+        assert tree.cost[node] == pytest.approx(tree.cost[parent] + step, rel=1e-9)
+        assert passes(wall, tree.nodes[parent], tree.nodes[node])
+        for _ in range(len(tree.nodes)):
+            if parent <= 0:
+                break
+            parent = int(tree.parent[parent])
+        assert parent == 0
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**31), st.sampled_from(["root", "squared", "area"]), st.booleans(), st.lists(st.integers(1, 60)))
+def test_after_every_piece_of_a_search_the_tree_is_whole(seed: int, kind: str, informed: bool, pieces: list) -> None:
+    cost = line_cost(kind)
+    growing = search(cost=cost, seed=seed, informed=informed, near_factor=2.0)
+    best = np.inf
+    for piece in pieces[:6]:
+        assert growing.grow(piece) == piece
+        check(growing.tree, cost, WALL)
+        assert growing.tree.cost[1] <= best + 1e-12
+        best = growing.tree.cost[1]
+
+
+@pytest.mark.parametrize("near_set", ["k", "radius"])
+def test_pieces_give_the_tree_of_the_whole_and_so_do_buckets(near_set: str) -> None:
+    trees = []
+    for pieces, many in (([1500], 10**6), ([1, 63, 500, 936], 10**6), ([1500], 40), ([700, 800], 300)):
+        growing = search(near_set=near_set, near_factor=1.5, many=many)
+        for piece in pieces:
+            growing.grow(piece)
+        trees.append(growing.tree)
+    assert all(same(trees[0], tree) for tree in trees[1:])
+    assert trees[0].n_iterations == 1500
+
+
+def test_a_deadline_ends_a_search_between_pieces() -> None:
+    ticks = iter(range(1000))
+    growing = search()
+    assert growing.grow(deadline_s=5, clock=lambda: float(next(ticks))) == 5 * 64
+    assert growing.grow(1000, deadline_s=0.0) == 0
+    with pytest.raises(SettingsError, match="deadline"):
+        growing.grow()
+
+
+def test_one_tree_reaches_many_goals() -> None:
+    goals = np.array([GOAL, [0.15, -0.1, 0.03, 0.0], [0.0, 0.0, 0.05, 0.0], [0.1, 0.1, 0.1, -1.0]])
+    growing = search(goals=goals)
+    growing.grow(2500)
+    tree = growing.tree
+    check(tree, ROOT, WALL)
+    assert [bool(np.isfinite(cost)) for cost in tree.cost[1:5]] == [True, True, False, True]  # one is in the wall
+    for number in (0, 1, 3):
+        path = tree.path(number)
+        assert path is not None
+        assert path[-1].tolist() == goals[number].tolist()
+        alone = search(goals=goals[number])
+        alone.grow(2500)
+        assert tree.cost[1 + number] < 1.25 * alone.tree.cost[1]
+    assert tree.path(2) is None
+    assert tree.best_goal == int(tree.cost[1:5].argmin())
+
+
+def test_what_is_still_valid_survives_a_change() -> None:
+    growing = search(informed=False)
+    growing.grow(1500)
+    before = growing.tree
+    moved = Wall(0.06, 0.12, 0.07)
+    left = growing.recheck(moved)
+    after = growing.tree
+    check(after, ROOT, moved)
+    assert 300 < left < len(before.nodes)
+    old = {tuple(pose): cost for pose, cost in zip(before.nodes, before.cost, strict=True)}
+    kept = [node for node in range(2, len(after.nodes)) if tuple(after.nodes[node]) in old]
+    assert len(kept) == len(after.nodes) - 2
+    assert all(after.cost[node] == old[tuple(after.nodes[node])] for node in kept)
+    growing.grow(500)
+    check(growing.tree, ROOT, moved)
+    fresh = search(moved, informed=False)
+    fresh.grow(500)
+    assert growing.tree.cost[1] < 1.05 * fresh.tree.cost[1]
+
+
+def test_nothing_changes_where_nothing_has_changed() -> None:
+    growing = search()
+    growing.grow(400)
+    before = growing.tree
+    growing.recheck(WALL)
+    after = growing.tree
+    assert sorted(map(tuple, before.nodes)) == sorted(map(tuple, after.nodes))
+    assert sorted(before.cost) == sorted(after.cost)
+
+
+def test_ends_outside_the_bounds_are_refused() -> None:
+    with pytest.raises(SettingsError, match="within"):
+        search(goals=np.array([0.3, 0.0, 0.03, 0.0]))
+    with pytest.raises(SettingsError, match="near_set"):
+        search(near_set="ball")
+
+
+@pytest.mark.parametrize("method", ["sampled", "exact", "continuous"])
+def test_the_certificate_leaves_the_tree_as_it_is(method: str, make_grid: Callable[..., OccupancyGrid]) -> None:
+    field, trees = DistanceField.build(make_grid(2), 0.05), []
+    for flag in (True, False):
+        options = CheckSettings(method=method, use_clearance_tables=flag)
+        test = segment_test(field, ToolBody(), 0.001, options, seed=3)
+        growing = RrtStar(test, ROOT, START * [1, 1, 1, 0], GOAL * [0.9, 1, 1, 0], LOWER, UPPER, 4)
+        growing.grow(500)
+        trees.append(growing.tree)
+    assert same(*trees)
+    assert len(trees[0].nodes) > 100

@@ -1,0 +1,135 @@
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from deltasafe.errors import PlanningError, SettingsError
+from deltasafe.geometry import Pose, PosePath, Trajectory
+from deltasafe.planning import (
+    DistanceField,
+    PlannerSettings,
+    SpeedProfile,
+    ToolBody,
+    TrackingBound,
+    VelocitySettings,
+    plan,
+    schedule,
+)
+from deltasafe.planning.timing.corner_blending import blend_corners
+from deltasafe.scene import OccupancyGrid
+
+FREE = DistanceField.build(
+    OccupancyGrid(np.zeros((120, 120, 10), np.float32), np.array([-0.3, -0.3, 0.0]), 0.005), 0.05
+)
+LIMITS = VelocitySettings()
+BODY = ToolBody()
+
+
+def check_limits(trajectory: Trajectory, limits: VelocitySettings) -> None:
+    """Rest to rest, and speed, yaw rate and acceleration from the poses alone, by differences."""
+    assert (trajectory.velocities[[0, -1]] == 0).all()
+    rates = np.diff(trajectory.poses, axis=0) / np.diff(trajectory.time_s)[:, None]
+    speeds = np.linalg.norm(rates[:, :3], axis=1) + BODY.rho_max_m * np.abs(rates[:, 3])
+    assert speeds.max() <= limits.v_max_mps * (1 + 1e-6)
+    assert np.abs(rates[:, 3]).max() <= limits.yaw_rate_radps * (1 + 1e-6)
+    gains = np.diff(trajectory.velocities, axis=0) / np.diff(trajectory.time_s)[:, None]
+    assert np.linalg.norm(gains[:, :3], axis=1).max() <= limits.acceleration_mps2 * 1.01
+    middle = (trajectory.velocities[1:] + trajectory.velocities[:-1]) / 2
+    assert (np.abs(rates - middle) <= (2e-4, 2e-4, 2e-4, 2e-3)).all()
+
+
+def test_a_straight_way_is_a_trapezoid_in_closed_form() -> None:
+    path = PosePath(np.array([[-0.2, 0, 0.1, 0], [0.2, 0, 0.1, 0]]))
+    trajectory, profile = schedule(path, FREE, LIMITS)
+    check_limits(trajectory, LIMITS)
+    # v / a to speed up, as long to slow down, the rest at full speed
+    assert trajectory.duration_s == pytest.approx(0.4 / 0.2 + 0.2 / 0.5, rel=0.002)
+    assert profile.speed_mps.max() == pytest.approx(0.2)
+    assert profile.arc_length_m[-1] == pytest.approx(0.4)
+
+
+def test_a_turn_on_the_spot_is_bounded_by_the_yaw_rate() -> None:
+    path = PosePath(np.array([[0, 0, 0.1, 0], [0, 0, 0.1, 1.5]]))
+    trajectory, _ = schedule(path, FREE, dataclasses.replace(LIMITS, yaw_rate_radps=0.8))
+    assert np.abs(trajectory.velocities[:, 3]).max() == pytest.approx(0.8, rel=1e-3)
+    check_limits(trajectory, dataclasses.replace(LIMITS, yaw_rate_radps=0.8))
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.integers(0, 10**6), st.integers(3, 7))
+def test_any_polyline_is_followed_within_limits(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    poses = rng.uniform((-0.2, -0.2, 0.12, -1), (0.2, 0.2, 0.2, 1), (count, 4))
+    trajectory, profile = schedule(PosePath(poses), FREE, LIMITS)
+    check_limits(trajectory, LIMITS)
+    np.testing.assert_allclose(trajectory.poses[[0, -1]], poses[[0, -1]], atol=1e-12)
+    assert (profile.speed_mps <= profile.limit_mps + 1e-9).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_tracking_error_fits_the_clearance_ten_times_finer(
+    seed: int, make_grid: Callable[..., OccupancyGrid], audit: Callable[..., float]
+) -> None:
+    """Along the trajectory itself, against points of the body enlarged by gamma(v) at the speed of the moment."""
+    field = DistanceField.build(make_grid(seed, count=5), 0.05)
+    result = plan(Pose(-0.14, 0, 0.03), Pose(0.14, 0, 0.03), field, PlannerSettings(n_iterations=600), seed)
+    assert result.path is not None
+    fine = dataclasses.replace(LIMITS, rate_hz=10000.0)
+    tracking = TrackingBound()
+    trajectory, profile = schedule(result.path, field, fine)
+    check_limits(trajectory, LIMITS)
+    assert (tracking.error_m(profile.speed_mps) <= profile.clearance_m + 1e-12).all()
+    places = np.linalg.norm(np.diff(trajectory.poses[:, :3], axis=0), axis=1).cumsum()
+    limit = np.interp(places, profile.arc_length_m, profile.limit_mps)
+    speeds = np.linalg.norm(trajectory.velocities[1:, :3], axis=1)
+    assert (speeds <= limit + 0.02).all()
+    for index in range(1, len(trajectory.time_s) - 1, 400):
+        rate = trajectory.velocities[index]
+        speed = np.linalg.norm(rate[:3]) + BODY.rho_max_m * abs(rate[3])
+        pose = trajectory.poses[[index, index]]
+        assert audit(field.grid, 0.05, BODY, float(tracking.error_m(speed)), pose) == 0
+
+
+def test_a_path_too_close_is_refused_with_its_place() -> None:
+    p_occupied = np.zeros((80, 60, 10), np.float32)
+    p_occupied[40:42, :30] = 1.0
+    field = DistanceField.build(OccupancyGrid(p_occupied, np.zeros(3), 0.005), 0.05)
+    path = PosePath(np.array([[0.05, 0.17, 0.03, 0], [0.35, 0.17, 0.03, 0]]))
+    assert schedule(path, field, LIMITS)[0].duration_s > 0
+    with pytest.raises(PlanningError, match=r"at 0\.1\d+ m along it.*clearance is") as caught:
+        schedule(path, field, LIMITS, tracking=TrackingBound(gamma0_m=0.006))
+    assert "gamma(v_min) is 6.50 mm" in str(caught.value)
+
+
+def test_standing_still_is_a_trajectory() -> None:
+    trajectory, profile = schedule(PosePath(np.array([[0, 0, 0.1, 0.5]])), FREE, LIMITS)
+    assert trajectory.duration_s == 0
+    assert isinstance(profile, SpeedProfile)
+    with pytest.raises(PlanningError, match="clearance"):
+        schedule(PosePath(np.array([[0, 0, 0.001, 0.5]])), FREE, LIMITS)
+
+
+def test_a_refused_blend_is_halved_and_then_becomes_a_stop() -> None:
+    corner = np.array([[0, 0, 0.1, 0], [0.1, 0, 0.1, 0], [0.1, 0.1, 0.1, 0]])
+    near = blend_corners(corner, 0.01, 0.02, 0.0005, lambda arc: True, 5e-5)
+    tight = blend_corners(corner, 0.01, 0.02, 0.0005, lambda arc: bool(arc[0, 0] > 0.097), 5e-5)
+    never = blend_corners(corner, 0.01, 0.02, 0.0005, lambda arc: False, 5e-5)
+    gaps = [np.linalg.norm(curve.poses - corner[1], axis=1).min() for curve in (near, tight, never)]
+    assert gaps[0] == pytest.approx(0.02 / np.sqrt(2) / 2, rel=1e-3)
+    assert 0 == gaps[2] < gaps[1] < 0.0015
+    assert [len(curve.stops) for curve in (near, tight, never)] == [2, 2, 3]
+    for curve in (near, tight):
+        places = np.linspace(0, curve.length[-1], 5001)
+        _, slopes = curve.at(places)
+        np.testing.assert_allclose(np.linalg.norm(slopes[:, :3], axis=1), 1, atol=2e-3)
+        turns = np.linalg.norm(np.diff(slopes, axis=0), axis=1) / np.diff(places)
+        assert turns.max() <= curve.bend.max() * 1.02
+
+
+@pytest.mark.parametrize("name", ["v_min_mps", "acceleration_mps2", "rate_hz"])
+def test_settings_out_of_domain_are_refused(name: str) -> None:
+    with pytest.raises(SettingsError, match=name):
+        dataclasses.replace(LIMITS, **{name: 0.0})

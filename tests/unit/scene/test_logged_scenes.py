@@ -1,0 +1,90 @@
+import json
+import pathlib
+
+import numpy as np
+import pytest
+
+from deltasafe.errors import DataError
+from deltasafe.scene import LoggedScene, load_scenes
+
+POSE = {"position_m": [-0.15, 0.0, 0.03], "yaw_rad": 0.0}
+
+
+def write(folder: pathlib.Path, **changes: object) -> pathlib.Path:
+    folder.mkdir(parents=True)
+    value: dict = {
+        "id": folder.name,
+        "image": "image.jpg",
+        "camera": {"width": 640, "height": 480, "fx": 768.0, "fy": 768.0, "cx": 320.0, "cy": 240.0}
+        | {"position_m": [0, 0, 0.5], "world_from_camera_rotation": [[1, 0, 0], [0, -1, 0], [0, 0, -1]]},
+        "table_z_m": 0.0,
+        "hand_height_m": 0.07,
+        "start": POSE,
+        "goal": POSE | {"yaw_rad": 1.0},
+        "ground_truth": {"mask": "hand_mask.png", "mesh": "hand_mesh.npz"},
+    }
+    (folder / "scene.json").write_text(json.dumps(value | changes))
+    (folder / "image.jpg").write_bytes(b"jpeg")
+    (folder / "hand_mask.png").write_bytes(b"png")
+    np.savez(
+        folder / "hand_mesh.npz",
+        vertices_m=np.eye(3, dtype=np.float32),
+        triangles=np.array([[0, 1, 2]], dtype=np.int32),
+    )
+    return folder
+
+
+def test_a_scene_is_read_as_it_was_logged(tmp_path: pathlib.Path) -> None:
+    scene = LoggedScene.load(write(tmp_path / "scene_000"))
+    assert (scene.id, scene.hand_height_m, scene.goal.yaw_rad) == ("scene_000", 0.07, 1.0)
+    assert scene.start.as_tuple() == (-0.15, 0.0, 0.03, 0.0)
+    assert scene.camera.height == 480
+    vertices_m, triangles = scene.true_mesh()
+    assert vertices_m.shape == (3, 3)
+    assert triangles.tolist() == [[0, 1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"hand_height_m": -1}, "hand_height_m must be positive"),
+        ({"table_z_m": "low"}, "table_z_m must be a finite number"),
+        ({"start": {"position_m": [0, 0]}}, r"start\.position_m"),
+        ({"goal": POSE | {"yaw_rad": None}}, "yaw_rad"),
+        ({"image": "../image.jpg"}, "image must be the name"),
+        ({"image": "other.jpg"}, "is missing"),
+        ({"camera": {}}, "camera"),
+        ({"id": ".."}, "id must be a name"),
+        ({"hand_height_m": 70.0}, "less than the camera's height"),
+        ({"table_z_m": 1.0}, "above the table"),
+        ({"start": {"position_m": [-150, 0, 30], "yaw_rad": 0}}, "meters and radians"),
+        ({"goal": POSE | {"yaw_rad": 90.0}}, "meters and radians"),
+        ({"ground_truth": {"mask": "hand_mask.png"}}, "mesh is missing"),
+    ],
+)
+def test_defects_name_file_and_field(tmp_path: pathlib.Path, changes: dict, words: str) -> None:
+    with pytest.raises(DataError, match=words) as caught:
+        LoggedScene.load(write(tmp_path / "scene_000", **changes))
+    assert "scene_000" in str(caught.value)
+
+
+@pytest.mark.parametrize("triangles", [[[0, 1, 3]], [[-1, 1, 2]], [[0.5, 1, 2]]])
+def test_a_broken_mesh_is_refused(tmp_path: pathlib.Path, triangles: list) -> None:
+    folder = write(tmp_path / "scene_000")
+    np.savez(folder / "hand_mesh.npz", vertices_m=np.eye(3), triangles=np.array(triangles))
+    with pytest.raises(DataError, match="triangles"):
+        LoggedScene.load(folder)
+
+
+def test_scenes_come_in_order_and_with_different_ids(tmp_path: pathlib.Path) -> None:
+    for name in ("b", "a"):
+        write(tmp_path / name)
+    assert [scene.id for scene in load_scenes(tmp_path)] == ["a", "b"]
+    write(tmp_path / "c", id="a")
+    with pytest.raises(DataError, match="more than once"):
+        load_scenes(tmp_path)
+
+
+def test_an_empty_folder_is_refused(tmp_path: pathlib.Path) -> None:
+    with pytest.raises(DataError, match="holds no scene"):
+        load_scenes(tmp_path)
