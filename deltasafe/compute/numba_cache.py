@@ -1,8 +1,6 @@
 """numba with a cache that notices every change of this package."""
 
 import functools
-import hashlib
-import pathlib
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -10,21 +8,9 @@ from typing import Any
 import numba
 from numba.core import caching
 
+from deltasafe.compute.code_digest import digest_of_importers
+
 __all__ = ["compiled", "inlined", "kernel"]
-
-
-@functools.cache
-def _digest_of_sources() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
-    root = pathlib.Path(__file__).parent.parent
-    for path in [
-        pathlib.Path(__file__),
-        *sorted(root.glob("scene/*.py")),
-        *sorted(root.glob("planning/**/*.py")),
-        *sorted(root.glob("studies/baselines/*.py")),
-    ]:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 class _Index(caching.IndexDataCacheFile):
@@ -41,10 +27,10 @@ class _Index(caching.IndexDataCacheFile):
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """``numba.njit`` whose on-disk cache is valid for exactly this state of scene and planning.
+    """``numba.njit`` whose on-disk cache is valid for exactly this state of the compiled modules.
 
-    numba itself looks only at the file that holds the function: after a change to a collision test in
-    another file it would go on running the old one. The stamp of the cache is therefore a digest of all sources.
+    numba itself checks only the file that holds the function: after a change of a collision test in another file it
+    would keep running the old one. The stamp of the cache is therefore a digest of all modules that compile functions.
     """
     return _cached(numba.njit(cache=True)(function))
 
@@ -68,5 +54,11 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 def _cached(dispatcher: Any) -> Any:
     cache = dispatcher._cache
-    cache._cache_file = _Index(cache._cache_path, cache._impl.filename_base, _digest_of_sources())
+    cache._cache_file = _Index(cache._cache_path, cache._impl.filename_base, _stamp())
     return dispatcher
+
+
+@functools.cache
+def _stamp() -> str:
+    """Digest of all modules that compile functions: a compiled search contains whatever test it was given by type."""
+    return f"{numba.__version__} {digest_of_importers(__name__)}"

@@ -20,7 +20,6 @@ __all__ = [
     "atomic_file",
     "atomic_folder",
     "digest_of",
-    "digest_of_code",
     "parse_json",
     "read_json",
     "sha256_of_file",
@@ -152,12 +151,6 @@ def digest_of(value: Any) -> str:
     """SHA-256 of a JSON-like value (dataclasses included), independent of key order."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_plain)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
-
-
-def digest_of_code() -> str:
-    """SHA-256 over the sources of this package: what made an artifact."""
-    root = pathlib.Path(__file__).parent.parent
-    return digest_of({path.relative_to(root).as_posix(): sha256_of_file(path) for path in root.rglob("*.py")})
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -11,10 +11,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compute.code_digest import digest_of_code
 from deltasafe.compute.executor import LOCAL, Executor, Task
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError, SettingsError
-from deltasafe.io.storage import atomic_file, digest_of, sha256_of_file
+from deltasafe.io.storage import atomic_file, digest_of
 
 __all__ = ["Batch", "Effort", "run_batches"]
 
@@ -41,7 +42,6 @@ def run_batches(
     workers: int = 1,
     progress: Progress = silent,
     *,
-    made_by: Sequence[str] = ("**/*.py",),
     executor: Executor = LOCAL,
 ) -> tuple[list[Batch], Effort]:
     """``work(*arguments)`` for every job ``(name, arguments)``, in the order of the jobs, and what that took.
@@ -52,8 +52,6 @@ def run_batches(
     Args:
         work: a function of a module, whose arguments have a JSON form.
         workers: processes; with one, the work is done in this process.
-        made_by: sources of this package (glob patterns) that decide what a batch holds, all of them by default;
-            whatever else does is among the arguments.
         executor: where the work is done.
 
     Raises:
@@ -63,7 +61,7 @@ def run_batches(
     if workers < 1:
         raise SettingsError(f"workers must be at least 1, got {workers}")
     began_s = time.monotonic()
-    folder, code = pathlib.Path(folder), _digest_of_sources(made_by)
+    folder, code = pathlib.Path(folder), digest_of_code(work)
     files = [
         folder / f"{name}-{digest_of([work.__module__, work.__qualname__, code, arguments])[:16]}.npz"
         for name, arguments in jobs
@@ -88,12 +86,6 @@ def run_batches(
     if len(missing) < len(jobs):
         minutes = sum(float(batch["wall_s"]) for batch in batches) / 60 / executor.width(workers)
     return batches, Effort(minutes, sum(float(batch["cpu_s"]) for batch in batches) / 60)
-
-
-def _digest_of_sources(made_by: Sequence[str]) -> str:
-    root = pathlib.Path(__file__).parent.parent
-    files = [file for name in made_by for file in sorted(root.glob(name))]
-    return digest_of([[file.relative_to(root).as_posix(), sha256_of_file(file)] for file in files])
 
 
 def _timed(work: Callable[..., Batch], arguments: tuple[Any, ...]) -> dict[str, NDArray[Any]]:

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compute.code_digest import digest_of_package
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.io.arrays import read_npz
-from deltasafe.io.storage import atomic_file, atomic_folder, digest_of_code, sha256_of_file, write_json
+from deltasafe.io.storage import atomic_file, atomic_folder, sha256_of_file, write_json
 from deltasafe.perception.artifact.manifest import FORMAT_VERSION, described, read_manifest
 from deltasafe.perception.artifact.model_card import model_card
 from deltasafe.perception.artifact.onnx_export import export_onnx
@@ -135,7 +136,7 @@ def freeze_ensemble(
             "inference": dataclasses.asdict(inference),
             "provenance": {
                 "data": members[0].record["data_digest"],
-                "code": digest_of_code(),
+                "code": digest_of_package(),
                 **(provenance or {}),
             },
         }

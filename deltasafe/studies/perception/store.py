@@ -1,13 +1,9 @@
 """Where a study keeps what it made: every folder is named by the digest of all that determines it."""
 
 import dataclasses
-import functools
 import pathlib
 
-import deltasafe
-from deltasafe.io.storage import digest_of, sha256_of_file
-
-__all__ = ["StudyStore", "digest_of_sources"]
+__all__ = ["StudyStore"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,13 +27,3 @@ class StudyStore:
 
     def report(self, digest: str) -> pathlib.Path:
         return self.home / "study" / "reports" / digest[:16]
-
-
-@functools.cache
-def digest_of_sources(*modules: str) -> str:
-    """SHA-256 over sources of this package, read once: modules (``a/b.py``) or packages (``a/b``)."""
-    root = pathlib.Path(deltasafe.__file__).parent
-    files = [
-        file for name in modules for file in ([root / name] if name.endswith(".py") else (root / name).rglob("*.py"))
-    ]
-    return digest_of({file.relative_to(root).as_posix(): sha256_of_file(file) for file in files})

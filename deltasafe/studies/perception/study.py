@@ -9,6 +9,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compute.code_digest import digest_of_code
 from deltasafe.compute.executor import LOCAL, Executor
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError, SettingsError
@@ -26,12 +27,9 @@ from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.train_ensemble import MemberJob, train_members
 from deltasafe.perception.training.train_member import StepReport, pick_device, training_identity
 from deltasafe.studies.perception.settings import Cell, StudySettings
-from deltasafe.studies.perception.store import StudyStore, digest_of_sources
+from deltasafe.studies.perception.store import StudyStore
 
 __all__ = ["Study"]
-
-_MAKES_SETS = ("perception/augmentation", "perception/schemes", "perception/augmented_set.py")
-_PREDICTS = ("perception/ensemble.py", "perception/network.py")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -218,7 +216,13 @@ class Study:
 
     def _set_folder(self, cell: Cell) -> pathlib.Path:
         backgrounds = self._backgrounds_digest if cell.scheme == "ours" else ""
-        key = [cell.scheme, self.scheme_settings(cell), self.train.digest, backgrounds, digest_of_sources(*_MAKES_SETS)]
+        key = [
+            cell.scheme,
+            self.scheme_settings(cell),
+            self.train.digest,
+            backgrounds,
+            digest_of_code(write_augmented_set),
+        ]
         return self.store.augmented_set(digest_of(key))
 
     def report_folder(self, cell: Cell) -> pathlib.Path:
@@ -230,7 +234,7 @@ class Study:
 
     def _prediction_key(self, member: Member, inference: InferenceSettings) -> str:
         weights = member.record["weights_sha256"]
-        return digest_of([weights, inference, self.test.digest, digest_of_sources(*_PREDICTS)])
+        return digest_of([weights, inference, self.test.digest, digest_of_code(Ensemble)])
 
     def _predictions_of(self, member: Member, inference: InferenceSettings, progress: Progress) -> MemberPredictions:
         folder = self.store.predictions(self._prediction_key(member, inference))

@@ -16,7 +16,7 @@ from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.planning import is_segment_safe, line_cost, path_cost
 from deltasafe.studies.planner.methods import MAIN, Method, constraint_of, contenders, field_of, search
 from deltasafe.studies.planner.scenes import StudyScene, cluttered_scene, simple_scene
-from deltasafe.studies.planner.settings import MADE_BY, ComparisonSettings
+from deltasafe.studies.planner.settings import ComparisonSettings
 from deltasafe.studies.resumable_jobs import Batch, Effort, run_batches
 
 __all__ = ["MEASURES", "SCENES", "Comparison", "compare"]
@@ -121,7 +121,7 @@ def compare(
     jobs = [
         (f"{scene}-{level:02d}", (settings, scene, level)) for scene in SCENES for level in range(settings.n_levels)
     ]
-    batches, effort = run_batches(_one_level, jobs, folder, workers, progress, made_by=MADE_BY, executor=executor)
+    batches, effort = run_batches(_one_level, jobs, folder, workers, progress, executor=executor)
     shape = (len(SCENES), settings.n_levels, len(contenders(settings)), settings.n_runs)
     runs = {name: np.stack([batch[name] for batch in batches]).reshape(shape) for name in MEASURES}
     return Comparison(settings, runs, effort)

@@ -6,14 +6,7 @@ import math
 from deltasafe.errors import SettingsError
 from deltasafe.studies.planner.scenes import PAPER_UNIT_M
 
-__all__ = ["MADE_BY", "ComparisonSettings", "SearchSettings", "TimingSettings"]
-
-MADE_BY = (
-    "scene/*.py",
-    "planning/**/*.py",
-    *(f"planner_study/{name}.py" for name in ("scenes", "contenders", "comparison", "timing")),
-)
-"""Sources that decide what a batch holds; settings and scenes enter by their values."""
+__all__ = ["ComparisonSettings", "SearchSettings", "TimingSettings"]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,7 +14,7 @@ from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.studies.baselines import GaussianCheckSettings
 from deltasafe.studies.planner.methods import constraint_of, field_of, search
 from deltasafe.studies.planner.scenes import crowded_scene
-from deltasafe.studies.planner.settings import MADE_BY, TimingSettings
+from deltasafe.studies.planner.settings import TimingSettings
 from deltasafe.studies.resumable_jobs import Batch, Effort, run_batches
 
 __all__ = ["TIMED", "Timing", "measure_times"]
@@ -101,7 +101,7 @@ def measure_times(
     CPU time of one thread. More ``workers`` than idle cores disturb each other.
     """
     jobs = [(f"spheres-{count:03d}", (settings, count)) for count in settings.counts]
-    batches, effort = run_batches(_one_count, jobs, folder, workers, progress, made_by=MADE_BY, executor=executor)
+    batches, effort = run_batches(_one_count, jobs, folder, workers, progress, executor=executor)
     stacked = {name: np.stack([batch[name] for batch in batches]) for name in ("seconds", "n_nodes", "field_s")}
     return Timing(settings, **stacked, effort=effort)
 

@@ -8,7 +8,7 @@ from deltasafe.execution.simulate import ExecutionSettings
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import FieldSettings
 
-__all__ = ["CONTENDERS", "LABELS", "MADE_BY", "PARAMETRIC", "CameraSettings", "SafetyStudySettings", "TaskSettings"]
+__all__ = ["CONTENDERS", "LABELS", "PARAMETRIC", "CameraSettings", "SafetyStudySettings", "TaskSettings"]
 
 PARAMETRIC = ("chance_constraint", "bounding_volume", "max_probability")
 """The compared methods, which are told of ellipsoids at Gaussian positions."""
@@ -24,16 +24,6 @@ LABELS = {
     "bounding_volume": "Bounding volume",
     "max_probability": "Max. prob. approx.",
 }
-
-MADE_BY = (
-    "geometry.py",
-    "scene/*.py",
-    "planning/**/*.py",
-    "execution/*.py",
-    *(f"perception/{name}.py" for name in ("hands", "artifact", "ensemble", "executor", "network", "recalibration")),
-    *(f"safety_study/{name}.py" for name in ("settings", "situations", "camera_noise", "obstacles", "paths", "trials")),
-)
-"""Sources that decide what a batch holds."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,7 +19,7 @@ from deltasafe.scene import load_scenes
 from deltasafe.studies.resumable_jobs import Batch, Effort, run_batches
 from deltasafe.studies.safety.motions import OUTCOMES
 from deltasafe.studies.safety.runs import BY_SPEED, COLUMNS, STAGES, Eyes, FrozenEyes, SceneRef, meet
-from deltasafe.studies.safety.settings import CONTENDERS, LABELS, MADE_BY, SafetyStudySettings
+from deltasafe.studies.safety.settings import CONTENDERS, LABELS, SafetyStudySettings
 
 __all__ = ["SafetyStudy", "StudyInputs", "run_study"]
 
@@ -193,7 +193,7 @@ def run_study(
     while executed < settings.n_executions:
         count += _more(settings, executed, count)
         jobs = [(f"situation-{number:05d}", (each, inputs.scenes, inputs.eyes, number)) for number in range(count)]
-        batches, effort = run_batches(meet, jobs, folder, workers, progress, made_by=MADE_BY, executor=executor)
+        batches, effort = run_batches(meet, jobs, folder, workers, progress, executor=executor)
         executed = sum(int((batch["outcome"] == OUTCOMES.index("executed")).sum()) for batch in batches)
         progress(executed, max(executed, settings.n_executions), "motions executed")
     trials = {name: np.concatenate([batch[name] for batch in batches]) for name in (*COLUMNS, *BY_SPEED)}

@@ -21,15 +21,6 @@ from deltasafe.studies.tracking.tracking_errors import Tracks, record_runs
 
 __all__ = ["TrackingStudy", "run_study"]
 
-_EXECUTION = ("arm", "dynamics", "iiwa", "iiwa_urdf", "impedance", "kinematics", "recording", "reference", "simulate")
-MADE_BY = (
-    *(f"execution/{name}.py" for name in _EXECUTION),
-    "geometry.py",
-    "planning/body.py",
-    *(f"tracking_study/{name}.py" for name in ("trajectories", "tracks")),
-)
-"""Sources that decide what a batch holds; settings enter by their values."""
-
 _FORMAT = 1
 
 
@@ -152,7 +143,7 @@ def run_study(
     size, total = settings.runs_per_batch, settings.n_runs
     of_a_run = dataclasses.replace(settings, n_slope_runs=1, n_bound_runs=settings.least_bound_runs, n_held_out_runs=1)
     jobs = [(f"runs-{first:05d}", (of_a_run, first, min(first + size, total))) for first in range(0, total, size)]
-    batches, effort = run_batches(record_runs, jobs, folder, workers, progress, made_by=MADE_BY, executor=executor)
+    batches, effort = run_batches(record_runs, jobs, folder, workers, progress, executor=executor)
     names = [field.name for field in dataclasses.fields(Tracks)]
     return TrackingStudy(
         settings, Tracks.joined([Tracks(**{name: batch[name] for name in names}) for batch in batches]), effort

@@ -30,7 +30,7 @@ from deltasafe.studies.safety import (
     pairing,
     replay,
     run_study,
-    trials,
+    runs,
     upper_bound,
     write_safety_study,
 )
@@ -98,7 +98,7 @@ def made(tmp_path_factory):
     scene = str(SCENES / "scene_003")
     inputs = StudyInputs((SceneRef(scene, "a"),), ("scene_003",), TrueEyes(scene), 2, 0.02)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trials, "execute", follow)
+        patch.setattr(runs, "execute", follow)
         yield folder, inputs, run_study(SETTINGS, inputs, folder / "batches")
 
 
@@ -202,8 +202,8 @@ def test_an_arm_that_cannot_follow_is_an_outcome(made, tmp_path):
         raise PlanningError("out of reach")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trials, "execute", broken)
-        found = trials.meet(dataclasses.replace(SETTINGS, beside=()), inputs.scenes, inputs.eyes, 1)
+        patch.setattr(runs, "execute", broken)
+        found = runs.meet(dataclasses.replace(SETTINGS, beside=()), inputs.scenes, inputs.eyes, 1)
         assert OUTCOMES[found["outcome"][0]] in {"the arm cannot follow", "start unsafe", "goal unsafe"}
         assert np.isnan(found["min_tool_m"][0])
     far = dataclasses.replace(SETTINGS, task=dataclasses.replace(SETTINGS.task, clearance_m=0.5))
@@ -218,14 +218,14 @@ def test_a_situation_that_is_over_is_forgotten(made):
     _, inputs, _ = made
     seen = []
 
-    class Watched(trials._Table):
+    class Watched(runs._Table):
         def __init__(self, *arguments):
             super().__init__(*arguments)
             seen.append(weakref.ref(self))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trials, "_Table", Watched)
-        trials.meet(SETTINGS, inputs.scenes, inputs.eyes, 0)
+        patch.setattr(runs, "_Table", Watched)
+        runs.meet(SETTINGS, inputs.scenes, inputs.eyes, 0)
     gc.collect()
     assert [each() for each in seen] == [None]
 
