@@ -115,7 +115,7 @@ def may_be_frozen(calibration_report: pathlib.Path, config: GateConfig) -> dg.As
     report = CalibrationReport.load(calibration_report)
     thresholds = config.settings()
     failures = gate(report, thresholds)
-    supported, needed = report.smallest_supported_delta, thresholds.planning_delta
+    supported, needed = report.smallest_supported_delta, report.settings.planning_delta
     found = (
         "; ".join(failures) or f"accurate enough; the images support a delta of {supported}, planning needs {needed}"
     )
@@ -177,7 +177,7 @@ def true_hands_are_seen(occupancy_fields: pathlib.Path, logged_scenes: pathlib.P
 def audit_finds_no_unsafe_point(
     planned_motions: pathlib.Path, occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path
 ) -> dg.AssetCheckResult:
-    from deltasafe.trials.audit import audit_motions
+    from deltasafe.trials.motions import audit_motions
     from deltasafe.trials.selection import load_selection
 
     audited = audit_motions(load_selection(logged_scenes), occupancy_fields, planned_motions)

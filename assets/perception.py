@@ -114,7 +114,7 @@ def augmented_hands(
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """Twenty new images of each original: background replaced, seven more methods with p = 0.5 each."""
-    from deltasafe.perception.data.augmented_set import write_augmented_set
+    from deltasafe.perception.data.augmented_set import augment_images
     from deltasafe.perception.data.contact_sheet import contact_sheet
     from deltasafe.perception.data.labeled_images import LabeledImageSet
 
@@ -122,7 +122,7 @@ def augmented_hands(
     backgrounds, _ = store.dataset(config.backgrounds, "backgrounds")
     folder = store.folder("augmented_hands", context.run_id[:8])
     settings, progress = config.augmentation.settings(), progress_of(context)
-    made = write_augmented_set(hands, backgrounds, settings, folder, workers=config.workers, progress=progress)
+    made = augment_images(hands, folder, settings, backgrounds, workers=config.workers, progress=progress)
     sheet = folder.with_name(f"{folder.name}-sheet.png")
     contact_sheet(hands, made, sheet)
     metadata = {"contact sheet": inline_picture(sheet), "images": made.n, **folder_facts(folder, made.digest[:16])}
@@ -179,21 +179,19 @@ def calibration_report(
     """May the mean of the members be called a probability? Judged on all pixels of the test images."""
     from deltasafe.io.storage import sha256_of_file
     from deltasafe.perception.data.labeled_images import LabeledImageSet
-    from deltasafe.perception.evaluate_ensemble import evaluate_members
+    from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble
     from deltasafe.perception.training.member import Member
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
     folder, test = store.folder("calibration_report", context.run_id[:8]), LabeledImageSet.load(test_hands)
-    report = evaluate_members(
+    report = evaluate_ensemble(
         trained,
         test,
         folder,
-        inference=config.inference.settings(),
-        settings=config.calibration.settings(),
-        planning_delta=PRESET.motion.delta,
+        EvaluationSettings(config.inference.settings(), config.calibration.settings()),
+        _calibration_set(config.calibration_folder, raw_hands),
         device=config.device,
         progress=progress_of(context),
-        calibration=_calibration_set(config.calibration_folder, raw_hands),
     )
     page = tracker.report(trained[0].ensemble_identity, report.figures(), folder, {"test hands": test.digest})
     metadata = {**with_opening(folder / "report.md"), **readable(report.figures()), **page_link(page)}
@@ -222,12 +220,12 @@ def frozen_ensemble(
 ) -> dg.Output[pathlib.Path]:
     """The ensemble as a folder named by its content, for other projects; a version of the model, as challenger."""
     from deltasafe.perception.data.labeled_images import LabeledImageSet
-    from deltasafe.perception.evaluate_ensemble import freeze_evaluated
+    from deltasafe.perception.evaluate_and_freeze import freeze_ensemble
     from deltasafe.perception.training.member import Member
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
     golden_rgb, _ = LabeledImageSet.load(raw_hands).read(0)
-    folder = freeze_evaluated(trained, calibration_report, golden_rgb, store.home / "frozen")
+    folder = freeze_ensemble(trained, calibration_report, golden_rgb, store.home / "frozen")
     page = tracker.register(trained[0].ensemble_identity, folder)
     card = dg.MetadataValue.md((folder / "model_card.md").read_text(encoding="utf-8"))
     metadata = {"model card": card, "members": len(trained), **page_link(page), **folder_facts(folder, folder.name)}

@@ -118,7 +118,7 @@ def scene_execution(
     description="An audit that shares no code with the planner finds no unsafe point on the trajectory.",
 )
 def audit_of_the_scene(scene_motion: pathlib.Path, logged_scene: pathlib.Path) -> dg.AssetCheckResult:
-    from deltasafe.trials.audit import audit_motions
+    from deltasafe.trials.motions import audit_motions
     from deltasafe.trials.selection import load_selection
 
     audits = audit_motions(load_selection(logged_scene), scene_motion / "fields", scene_motion / "motions")

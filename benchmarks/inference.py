@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.measuring import conclude, foreign_cores, interleaved, median_ms, parser, say
-from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, freeze_ensemble, load_ensemble
+from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, load_ensemble, write_frozen_ensemble
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.inference.ensemble import Ensemble, probability
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
@@ -49,7 +49,7 @@ def frozen(n_members: int, network: NetworkSettings, inference: InferenceSetting
         members.append(Member.write(root / f"member-{seed}", made, {**record, "seed": seed}))
     golden = np.random.default_rng(0).integers(0, 256, (inference.height, inference.width, 3), dtype=np.uint8)
     unjudged = Calibration(1, n_members, 0, 0, 0, 0, 0, None)
-    return freeze_ensemble(members, inference, unjudged, golden, root / "frozen")
+    return write_frozen_ensemble(members, inference, unjudged, golden, root / "frozen")
 
 
 class OneAfterAnother:

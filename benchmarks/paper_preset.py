@@ -19,7 +19,7 @@ import torch
 
 from benchmarks.flops import training_flops
 from benchmarks.measuring import conclude, foreign_cores, parser, say
-from deltasafe.perception.data.augmented_set import write_augmented_set
+from deltasafe.perception.data.augmented_set import augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.training.network import build_network, pretrained_weights_at_hand
 from deltasafe.perception.training.precision import resolved_precision
@@ -59,7 +59,7 @@ def measure(options: argparse.Namespace, scratch: pathlib.Path) -> tuple[dict[st
         hands, items=hands.items[: options.images], pixel_digests=hands.pixel_digests[: options.images]
     )
     say(f"augmenting {len(some)} images ...")
-    data = write_augmented_set(some, DATASETS / "backgrounds", augmentation, scratch / "augmented", workers=1)
+    data = augment_images(some, scratch / "augmented", augmentation, DATASETS / "backgrounds", workers=1)
     times: list[float] = []
 
     def hear(_: str, step: Any) -> None:

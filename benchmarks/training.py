@@ -22,7 +22,7 @@ from benchmarks.flops import training_flops
 from benchmarks.measuring import conclude, foreign_cores, matmul_peak, parser, say
 from benchmarks.plain_training import PngHands, plain_training, write_pngs
 from deltasafe.perception.data.augmentation import AugmentationSettings
-from deltasafe.perception.data.augmented_set import AugmentedSet, write_augmented_set
+from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.settings import NetworkSettings, TrainingSettings
 from deltasafe.perception.training.network import build_network
@@ -86,7 +86,7 @@ class Bench:
         hands = dataclasses.replace(hands, items=hands.items[:n_hands], pixel_digests=hands.pixel_digests[:n_hands])
         augmentation = dataclasses.replace(augmentation, n_variants=-(-needed // n_hands))
         say(f"augmenting {n_hands} images to {n_hands * augmentation.n_variants} ...")
-        data = write_augmented_set(hands, DATASETS / "backgrounds", augmentation, scratch / "augmented", workers=1)
+        data = augment_images(hands, scratch / "augmented", augmentation, DATASETS / "backgrounds", workers=1)
         write_pngs(data, scratch / "png")
         return cls(data, PngHands(scratch / "png"), recipe, options.members, scratch)
 

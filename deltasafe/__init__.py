@@ -1,18 +1,75 @@
-"""From fifty labeled images to a robot that moves safely close to a human hand."""
+"""From fifty labeled images to a robot that moves safely close to a human hand.
 
+The names below are the public API for planning and for using a frozen ensemble. `deltasafe.perception` has the API for
+training one. Importing this package loads neither torch nor a simulator.
+"""
+
+import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from deltasafe.errors import DeltasafeError
+    from deltasafe.geometry import Pose
     from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
+    from deltasafe.planning import MotionSettings, PlannedMotion, ToolBody, plan_motion, verify_motion
+    from deltasafe.scene import (
+        Camera,
+        Cuboid,
+        FieldSettings,
+        LoggedScene,
+        OccupancyGrid,
+        Sphere,
+        grid_from_image,
+        grid_from_shapes,
+    )
 
-__all__ = ["__version__", "load_ensemble"]
+__all__ = [
+    "Camera",
+    "Cuboid",
+    "DeltasafeError",
+    "FieldSettings",
+    "LoggedScene",
+    "MotionSettings",
+    "OccupancyGrid",
+    "PlannedMotion",
+    "Pose",
+    "Sphere",
+    "ToolBody",
+    "__version__",
+    "grid_from_image",
+    "grid_from_shapes",
+    "load_ensemble",
+    "plan_motion",
+    "verify_motion",
+]
 
 __version__ = "0.1.0"
 
+_HOMES = {
+    "deltasafe.errors": ["DeltasafeError"],
+    "deltasafe.geometry": ["Pose"],
+    "deltasafe.perception.artifact.frozen_ensemble": ["load_ensemble"],
+    "deltasafe.planning": ["MotionSettings", "PlannedMotion", "ToolBody", "plan_motion", "verify_motion"],
+    "deltasafe.scene": [
+        "Camera",
+        "Cuboid",
+        "FieldSettings",
+        "LoggedScene",
+        "OccupancyGrid",
+        "Sphere",
+        "grid_from_image",
+        "grid_from_shapes",
+    ],
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
 
 def __getattr__(name: str) -> Any:
-    if name == "load_ensemble":  # needs torch: planning alone must be importable without it
-        from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
+    """Import a public name on first use: planning must not load torch, and `load_ensemble` needs it."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME_OF[name]), name)
 
-        return load_ensemble
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -19,10 +19,6 @@ __all__ = ["PRESETS", "VARIABLE", "Preset", "active"]
 
 VARIABLE = "DELTASAFE_PRESET"
 
-# gamma(v): the paper's slope with the constant that `make tracking-study` gives for it (docs/results/tracking_study).
-# In the paper's experiment the area between path and table is penalised, so that the tool passes near the fingers
-_MOTION = MotionSettings(cost="area", gamma0_m=0.00095, gamma1_s=0.05)
-
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
@@ -43,11 +39,11 @@ class Preset:
     promotion: PromotionSettings = dataclasses.field(default_factory=PromotionSettings)
     study: StudySettings = dataclasses.field(default_factory=StudySettings)
     field: FieldSettings = dataclasses.field(default_factory=FieldSettings)
-    motion: MotionSettings = _MOTION
+    motion: MotionSettings = dataclasses.field(default_factory=MotionSettings)
     execution: ExecutionSettings = dataclasses.field(default_factory=ExecutionSettings)
     comparison: ComparisonSettings = dataclasses.field(default_factory=ComparisonSettings)
     timing: TimingSettings = dataclasses.field(default_factory=TimingSettings)
-    safety_study: SafetyStudySettings = dataclasses.field(default_factory=lambda: SafetyStudySettings(motion=_MOTION))
+    safety_study: SafetyStudySettings = dataclasses.field(default_factory=SafetyStudySettings)
     tracking_study: TrackingStudySettings = dataclasses.field(default_factory=TrackingStudySettings)
     n_scenes: int = 0
     n_films: int = 3
@@ -65,17 +61,15 @@ PRESETS = {
         augmentation=AugmentationSettings(n_variants=2, width=96, height=72),
         training=TrainingSettings(NetworkSettings(pyramid_channels=32), epochs=2),
         inference=InferenceSettings(128, 96),
-        calibration=CalibrationSettings(n_bootstrap=200, n_folds=5),
-        gate=GateThresholds(pixel_accuracy=0.0, miou=0.0, planning_delta=0.5),
+        calibration=CalibrationSettings(n_bootstrap=200, n_folds=5, planning_delta=0.5),
+        gate=GateThresholds(pixel_accuracy=0.0, miou=0.0),
         study=StudySettings(
             sizes=(50, 100), n_members=2, n_members_most=3, n_members_ablation=1, left_out=("background",)
         ),
-        motion=dataclasses.replace(_MOTION, delta=0.5),
+        motion=MotionSettings(delta=0.5),
         comparison=ComparisonSettings(n_levels=2, n_runs=3, n_runs_beside=2, n_iterations=500, voxel_m=0.01),
         timing=TimingSettings(counts=(1, 5, 20), n_runs=2, n_iterations=500, voxel_m=0.01),
-        safety_study=SafetyStudySettings(
-            deltas=(0.05, 0.45), n_executions=2, n_bootstrap=100, n_films=1, motion=_MOTION
-        ),
+        safety_study=SafetyStudySettings(deltas=(0.05, 0.45), n_executions=2, n_bootstrap=100, n_films=1),
         tracking_study=TrackingStudySettings(
             n_slope_runs=4, n_bound_runs=7, n_held_out_runs=5, runs_per_batch=4, content=0.7, confidence=0.9
         ),

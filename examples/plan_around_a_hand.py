@@ -35,7 +35,7 @@ def main() -> None:
     rgb = read_rgb(scene.image_path)
     p_occupied = ensemble.p_occupied(rgb)
     field = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, preset.field)
-    motion = plan_motion(field, scene.start, scene.goal, scene.table_z_m, settings, seed=0, seen=ImageStamp.of(rgb))
+    motion = plan_motion(field, scene.start, scene.goal, settings, image_stamp=ImageStamp.of(rgb))
 
     motion.save(options.output)
     picture = options.output / "plan.png"

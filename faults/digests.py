@@ -50,7 +50,7 @@ def _motion(seed: int) -> dict[str, str]:
     block = Cuboid((0.0, 0.0, 0.03), (0.02, 0.05, 0.03))
     field = grid_from_shapes([block], 0.01, (-0.2, -0.15, 0.0), (0.2, 0.15, 0.09), 0.005)
     ends = Pose(-0.14, 0.0, 0.03), Pose(0.14, 0.0, 0.03, 0.5)
-    motion = plan_motion(field, *ends, 0.0, MotionSettings(n_iterations=500), seed)
+    motion = plan_motion(field, *ends, MotionSettings(n_iterations=500), seed)
     if motion.trajectory is None:
         raise RuntimeError(f"no motion to take the digest of: {motion.reason}")
     planned = hashlib.sha256()

@@ -5,7 +5,7 @@ import pathlib
 
 import numpy as np
 
-from deltasafe.perception.artifact.frozen_ensemble import freeze_ensemble
+from deltasafe.perception.artifact.frozen_ensemble import write_frozen_ensemble
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
@@ -20,7 +20,7 @@ def tiny_ensemble(parent: pathlib.Path, seed: int = 0) -> pathlib.Path:
     record = {"settings": {"network": dataclasses.asdict(settings)}, "data_digest": "d" * 64, "seed": seed}
     member = Member.write(parent / "member", build_network(settings, seed), record)
     golden = np.random.default_rng(seed).integers(0, 256, (48, 64, 3), dtype=np.uint8)
-    return freeze_ensemble([member], InferenceSettings(64, 48), calibration_of_one(), golden, parent / "frozen")
+    return write_frozen_ensemble([member], InferenceSettings(64, 48), calibration_of_one(), golden, parent / "frozen")
 
 
 def free_ensemble(parent: pathlib.Path) -> tuple[list[pathlib.Path], pathlib.Path]:
@@ -38,7 +38,9 @@ def free_ensemble(parent: pathlib.Path) -> tuple[list[pathlib.Path], pathlib.Pat
         record = {"settings": {"network": dataclasses.asdict(settings)}, **about}
         members.append(Member.write(parent / f"member-{seed}", network, record))
     golden = np.zeros((48, 64, 3), np.uint8)
-    frozen = freeze_ensemble(members[:1], InferenceSettings(64, 48), calibration_of_one(), golden, parent / "frozen")
+    frozen = write_frozen_ensemble(
+        members[:1], InferenceSettings(64, 48), calibration_of_one(), golden, parent / "frozen"
+    )
     return [member.folder for member in members], frozen
 
 

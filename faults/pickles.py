@@ -75,7 +75,7 @@ def read_everything(home: pathlib.Path) -> tuple[list[str], Listener]:
         out.mkdir()
         door.read(door.sound, out)
     field = grid_from_shapes([Sphere((0.0, 0.0, 0.03), 0.03)], 0.01, (-0.2, -0.15, 0.0), (0.2, 0.15, 0.07), 0.005)
-    plan_motion(field, FREE, OTHER, 0.0, MotionSettings(n_iterations=300), 0)
+    plan_motion(field, FREE, OTHER, MotionSettings(n_iterations=300), 0)
     return [*doors, "planning"], listener
 
 

@@ -29,8 +29,8 @@ from deltasafe.planning import (
     plan_motion,
     segment_test,
 )
+from deltasafe.planning.audit import audit_path
 from deltasafe.scene import Cuboid, OccupancyGrid, Shape, Sphere, grid_from_shapes
-from deltasafe.trials.audit import audit_path
 from faults.reporting import conclude, parser, progress_every
 
 __all__ = ["Outcome", "check_motion", "check_scene", "main", "try_scenes"]
@@ -109,7 +109,7 @@ def check_motion(random: Random, name: str, outcome: Outcome) -> None:
     ends = [
         Pose(x, random.uniform(-0.03, 0.03), random.uniform(0.015, 0.07), random.uniform(-1, 1)) for x in (-0.04, 0.04)
     ]
-    motion = plan_motion(grid, ends[0], ends[1], 0.0, settings, random.randrange(2**31))
+    motion = plan_motion(grid, ends[0], ends[1], settings, random.randrange(2**31))
     if motion.trajectory is None:
         return
     outcome.motions += 1

@@ -4,7 +4,7 @@ import pathlib
 import shutil
 
 from deltasafe.perception.data.augmentation.settings import AugmentationSettings
-from deltasafe.perception.data.augmented_set import AugmentedSet, write_augmented_set
+from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from pipelines.home import DATASETS
 
@@ -25,4 +25,4 @@ def tiny_hands(folder: pathlib.Path, of: str = "train") -> pathlib.Path:
 def tiny_set(hands: pathlib.Path, folder: pathlib.Path, seed: int = 0, n_variants: int = 4) -> AugmentedSet:
     """``n_variants`` of each, 64 x 48 pixels."""
     settings = AugmentationSettings(n_variants=n_variants, width=64, height=48, seed=seed)
-    return write_augmented_set(LabeledImageSet.load(hands), DATASETS / "backgrounds", settings, folder, workers=1)
+    return augment_images(LabeledImageSet.load(hands), folder, settings, DATASETS / "backgrounds", workers=1)

@@ -13,7 +13,7 @@ import torch
 
 from deltasafe.execution import Execution
 from deltasafe.interchange.executions import export_execution, import_execution
-from deltasafe.perception.artifact.frozen_ensemble import freeze_ensemble, verify_artifact
+from deltasafe.perception.artifact.frozen_ensemble import verify_artifact, write_frozen_ensemble
 from deltasafe.perception.calibration.evaluation import evaluate
 from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
 from deltasafe.perception.calibration.write_report import write_calibration_report
@@ -185,7 +185,7 @@ def _ensembles(member: pathlib.Path) -> Writer:
         torch.set_num_threads(1)
         made = [Member.load(member)]
         about = {"number": str(number)}
-        freeze_ensemble(made, InferenceSettings(64, 48), calibration_of_one(), golden, home / "frozen", about)
+        write_frozen_ensemble(made, InferenceSettings(64, 48), calibration_of_one(), golden, home / "frozen", about)
         say(number)
 
     def read(home: pathlib.Path) -> int:

@@ -69,7 +69,7 @@ def chain_digests(home: pathlib.Path) -> dict[str, str]:
 
 def augmentation_costs(folder: pathlib.Path) -> dict[str, float]:
     """CPU seconds, and megabytes on disk, that one more augmented image takes in two presets; of three originals."""
-    from deltasafe.perception.data.augmented_set import write_augmented_set
+    from deltasafe.perception.data.augmented_set import augment_images
     from deltasafe.perception.data.labeled_images import LabeledImageSet
     from deltasafe.presets import PRESETS
     from pipelines.home import DATASETS
@@ -81,7 +81,7 @@ def augmentation_costs(folder: pathlib.Path) -> dict[str, float]:
         for n_variants in (1, 21):
             settings = dataclasses.replace(PRESETS[name].augmentation, n_variants=n_variants)
             began_s, made = time.process_time(), folder / f"{name}-{n_variants}"
-            write_augmented_set(few, DATASETS / "backgrounds", settings, made, workers=1)
+            augment_images(few, made, settings, DATASETS / "backgrounds", workers=1)
             took.append((time.process_time() - began_s, megabytes(made)))
         for index, what in enumerate(("augmentation_cpu_s", "augmented_mb")):
             found[f"{what}_{name}"] = round((took[1][index] - took[0][index]) / (20 * len(few)), 4)

@@ -6,7 +6,7 @@ import pathlib
 import cv2
 import numpy as np
 
-from deltasafe.perception.artifact.frozen_ensemble import freeze_ensemble
+from deltasafe.perception.artifact.frozen_ensemble import write_frozen_ensemble
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
@@ -36,7 +36,7 @@ def freeze_constant(parent: pathlib.Path, logit: float) -> pathlib.Path:
     record = {"settings": {"network": dataclasses.asdict(settings)}, "data_digest": "d" * 64, "seed": 0}
     member = Member.write(parent / f"member{logit}", network, record)
     golden = np.zeros((48, 64, 3), np.uint8)
-    return freeze_ensemble([member], InferenceSettings(64, 48), CALIBRATION, golden, parent / "frozen")
+    return write_frozen_ensemble([member], InferenceSettings(64, 48), CALIBRATION, golden, parent / "frozen")
 
 
 def write_hands(folder: pathlib.Path, n: int = 4, seed: int = 0) -> pathlib.Path:

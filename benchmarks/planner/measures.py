@@ -16,9 +16,9 @@ from benchmarks.planner.asking import segments_asked
 from benchmarks.planner.ompl import harness, wheel
 from benchmarks.planner.problems import DELTA, DELTA_P_M, MARGIN_M, Problem
 from deltasafe.planning import is_segment_safe
+from deltasafe.planning.audit import audit_path
 from deltasafe.planning.collision.yaw_clearance_table import yaw_clearance_table
 from deltasafe.studies.planner.scenes import EllipticDisc, crowded_scene
-from deltasafe.trials.audit import audit_path
 
 __all__ = [
     "against_ompl",

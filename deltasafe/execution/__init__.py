@@ -11,7 +11,7 @@ from deltasafe.execution.monitor import CameraWatch
 from deltasafe.execution.recording import PHASES, Execution
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.execution.simulate import execute, iiwa_for
-from deltasafe.execution.verdict import SafetyVerdict, SpeedBin, body_points, judge
+from deltasafe.execution.verdict import SafetyVerdict, SpeedBin, judge
 
 __all__ = [
     "IIWA14_LIMITS",
@@ -36,7 +36,6 @@ __all__ = [
     "SafetyVerdict",
     "SpeedBin",
     "TaskReference",
-    "body_points",
     "execute",
     "film_frames",
     "iiwa_for",

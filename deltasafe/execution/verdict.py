@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution.recording import Execution
+from deltasafe.planning.audit import body_points
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["OccupancyField", "SafetyVerdict", "SpeedBin", "body_points", "judge", "largest_p_occupied"]
+__all__ = ["OccupancyField", "SafetyVerdict", "SpeedBin", "judge", "largest_p_occupied"]
 
 Array = NDArray[np.float64]
 
@@ -153,24 +154,6 @@ def judge(
     )
 
 
-def body_points(body: ToolBody, spacing_m: float = 0.0025) -> Array:
-    """(P, 3) points of the tool in its frame, surface and inside, at most about ``spacing_m`` apart."""
-    if not (math.isfinite(spacing_m) and spacing_m > 0):
-        raise SettingsError(f"spacing_m must be a positive length in meters, got {spacing_m}")
-    half = body.thickness_m / 2
-    disc = _rings(body.rho_max_m, spacing_m) * [
-        body.semi_axis_x_m / body.rho_max_m,
-        body.semi_axis_y_m / body.rho_max_m,
-    ]
-    shaft = _rings(body.shaft_radius_m, spacing_m)
-    return np.concatenate(
-        [
-            _layers(disc, -half, half, spacing_m),
-            _layers(shaft, half, body.shaft_length_m, spacing_m),
-        ]
-    )
-
-
 def largest_p_occupied(execution: Execution, grid: OccupancyField, body: ToolBody, spacing_m: float = 0.0025) -> Array:
     """(N,) largest p_occupied of the tool's points, ``spacing_m`` apart, at each measured pose."""
     points = body_points(body, spacing_m)
@@ -196,17 +179,3 @@ def _by_speed(speed: Array, error: Array, excess: Array) -> list[SpeedBin]:
                 )
             )
     return bins
-
-
-def _rings(radius_m: float, spacing_m: float) -> Array:
-    rings = []
-    for radius in np.linspace(0, radius_m, math.ceil(radius_m / spacing_m) + 1):
-        count = max(1, math.ceil(2 * math.pi * radius / spacing_m))
-        turn = 2 * np.pi * np.arange(count) / count
-        rings.append(radius * np.stack([np.cos(turn), np.sin(turn)], axis=1))
-    return np.concatenate(rings)
-
-
-def _layers(flat: Array, bottom_m: float, top_m: float, spacing_m: float) -> Array:
-    heights = np.linspace(bottom_m, top_m, math.ceil((top_m - bottom_m) / spacing_m) + 1)
-    return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in heights])

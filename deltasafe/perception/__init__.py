@@ -1,0 +1,66 @@
+"""From labeled images to a frozen ensemble whose mean is a probability.
+
+The steps, each a call: `LabeledImageSet.load`, `augment_images`, `train_ensemble`, `evaluate_ensemble`, `gate`,
+`freeze_ensemble`, `load_ensemble`. Default settings are those of the preset ``default``. Names are imported on first
+use, so that importing this package loads neither torch nor OpenCV.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, load_ensemble
+    from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, GateThresholds, gate
+    from deltasafe.perception.data.augmentation.settings import AugmentationSettings
+    from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
+    from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint, read_rgb
+    from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble, freeze_ensemble
+    from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
+    from deltasafe.perception.training.member import Member
+    from deltasafe.perception.training.train_ensemble import train_ensemble
+
+__all__ = [
+    "AugmentationSettings",
+    "AugmentedSet",
+    "CalibrationReport",
+    "CalibrationSettings",
+    "EvaluationSettings",
+    "FrozenEnsemble",
+    "GateThresholds",
+    "InferenceSettings",
+    "LabeledImageSet",
+    "Member",
+    "NetworkSettings",
+    "TrainingSettings",
+    "augment_images",
+    "check_disjoint",
+    "evaluate_ensemble",
+    "freeze_ensemble",
+    "gate",
+    "load_ensemble",
+    "read_rgb",
+    "train_ensemble",
+]
+
+_HOMES = {
+    "artifact.frozen_ensemble": ["FrozenEnsemble", "load_ensemble"],
+    "calibration.report": ["CalibrationReport", "CalibrationSettings", "GateThresholds", "gate"],
+    "data.augmentation.settings": ["AugmentationSettings"],
+    "data.augmented_set": ["AugmentedSet", "augment_images"],
+    "data.labeled_images": ["LabeledImageSet", "check_disjoint", "read_rgb"],
+    "evaluate_and_freeze": ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"],
+    "settings": ["InferenceSettings", "NetworkSettings", "TrainingSettings"],
+    "training.member": ["Member"],
+    "training.train_ensemble": ["train_ensemble"],
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,5 +1,6 @@
 """Motions that keep away from what may be occupied: SCC-RRT*, its segment tests, and safe velocity scheduling."""
 
+from deltasafe.planning.audit import Audit, verify_motion
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField
 from deltasafe.planning.collision.segment_query import answers_segments, segment_is_safe
@@ -21,6 +22,7 @@ from deltasafe.planning.timing.velocity_schedule import SpeedProfile, VelocitySe
 from deltasafe.planning.tracking_bound import TrackingBound
 
 __all__ = [
+    "Audit",
     "CheckSettings",
     "DistanceField",
     "LineCost",
@@ -51,4 +53,5 @@ __all__ = [
     "schedule_at_top_speed",
     "segment_is_safe",
     "segment_test",
+    "verify_motion",
 ]

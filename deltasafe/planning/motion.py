@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from deltasafe.errors import DataError, PlanningError, SettingsError
+from deltasafe.errors import DataError, PlanningError
 from deltasafe.geometry import Pose, PosePath, Trajectory
 from deltasafe.io.arrays import read_npz
+from deltasafe.io.records import from_json
 from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField
@@ -21,19 +22,27 @@ from deltasafe.scene import ImageStamp, OccupancyGrid
 
 __all__ = ["MotionSettings", "PlannedMotion", "plan_motion"]
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclasses.dataclass(frozen=True)
 class MotionSettings(VelocitySettings, PlannerSettings):
-    """All settings of a motion, flat: of the segment test, of the search, of the schedule, and the tracking bound.
+    """All settings of a motion: segment test, search, velocity schedule, tracking bound and tool.
+
+    The defaults are what the chain plans with.
 
     Attributes:
-        gamma0_m, gamma1_s: the tracking bound gamma(v) = gamma0 + gamma1 v; the paper's line by default.
+        cost: ``root``, ``squared`` or ``area``. The paper's experiment penalizes the area between path and table, so
+            that the tool passes near the fingers.
+        gamma0_m, gamma1_s: the tracking bound gamma(v) = gamma0 + gamma1 v. The default is the paper's slope with the
+            constant that was identified for the simulated arm (`make tracking-study`).
+        body: the space that the tool occupies.
     """
 
-    gamma0_m: float = TrackingBound.gamma0_m
-    gamma1_s: float = TrackingBound.gamma1_s
+    cost: str = "area"
+    gamma0_m: float = 0.00095
+    gamma1_s: float = 0.05
+    body: ToolBody = dataclasses.field(default_factory=ToolBody)
 
     def __post_init__(self) -> None:
         PlannerSettings.__post_init__(self)
@@ -42,7 +51,7 @@ class MotionSettings(VelocitySettings, PlannerSettings):
 
     @property
     def tracking(self) -> TrackingBound:
-        """gamma of schedule, monitor and verdict."""
+        """The tracking bound of planner, schedule, monitor and verdict."""
         return TrackingBound(self.gamma0_m, self.gamma1_s)
 
 
@@ -55,8 +64,8 @@ class PlannedMotion:
         trajectory: reference at the controller's rate; None unless a verified path could be timed.
         profile: clearance, limit and speed along the blended path; None with ``trajectory``.
         reason: empty if there is a trajectory, else why not.
-        settings, body, tracking, seed: what it was planned with.
-        seen: which image the field was made from, if from one.
+        settings, seed: what it was planned with.
+        image_stamp: the image that the grid was made from, if any.
     """
 
     result: PlanResult
@@ -64,10 +73,18 @@ class PlannedMotion:
     profile: SpeedProfile | None
     reason: str
     settings: MotionSettings
-    body: ToolBody
-    tracking: TrackingBound
     seed: int
-    seen: ImageStamp | None = None
+    image_stamp: ImageStamp | None = None
+
+    @property
+    def body(self) -> ToolBody:
+        """The tool that it was planned for."""
+        return self.settings.body
+
+    @property
+    def tracking(self) -> TrackingBound:
+        """The tracking bound that it was planned with."""
+        return self.settings.tracking
 
     @property
     def is_safe(self) -> bool:
@@ -82,10 +99,8 @@ class PlannedMotion:
             "result": {name: _json(value) for name, value in result.items()},
             "reason": self.reason,
             "settings": dataclasses.asdict(self.settings),
-            "body": dataclasses.asdict(self.body),
-            "tracking": dataclasses.asdict(self.tracking),
             "seed": self.seed,
-            "seen": None if self.seen is None else dataclasses.asdict(self.seen),
+            "image_stamp": None if self.image_stamp is None else dataclasses.asdict(self.image_stamp),
         }
         arrays: dict[str, Any] = {}
         if self.result.path is not None:
@@ -126,11 +141,9 @@ class PlannedMotion:
                 Trajectory(**_group(arrays, "trajectory_")) if "trajectory_poses" in arrays else None,
                 SpeedProfile(**_group(arrays, "profile_")) if "profile_poses" in arrays else None,
                 record["reason"],
-                MotionSettings(**record["settings"]),
-                ToolBody(**record["body"]),
-                TrackingBound(**record["tracking"]),
+                from_json(MotionSettings, record["settings"]),
                 record["seed"],
-                ImageStamp(**record["seen"]) if record.get("seen") else None,
+                ImageStamp(**record["image_stamp"]) if record["image_stamp"] else None,
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise DataError(folder, f"does not hold a planned motion ({error!r}); plan it again") from error
@@ -140,25 +153,24 @@ def plan_motion(
     grid: OccupancyGrid,
     start: Pose,
     goal: Pose,
-    table_z_m: float,
-    settings: MotionSettings,
-    seed: int,
-    body: ToolBody | None = None,
-    tracking: TrackingBound | None = None,
-    seen: ImageStamp | None = None,
+    settings: MotionSettings | None = None,
+    seed: int = 0,
+    image_stamp: ImageStamp | None = None,
 ) -> PlannedMotion:
-    """Path, verification and schedule in one. A scene without a safe path is an outcome with its reason.
+    """Plan a path, verify it and schedule its speed. A task without a safe path is an outcome with its reason.
 
     Args:
-        tracking: gamma; that of the settings if None.
-        seen: which image the grid was made from; travels with the motion.
+        grid: P(occupied); its lower face is the table.
+        start, goal: poses of the tool in the world frame.
+        settings: of the motion; the defaults are what the chain plans with.
+        seed: of the search; the same seed gives the same motion.
+        image_stamp: the image that the grid was made from; stored with the motion.
 
     Raises:
-        SettingsError: the table is not the lower face of the grid, or a setting is outside its domain.
+        SettingsError: a setting is outside its domain.
     """
-    if abs(table_z_m - grid.origin_m[2]) > 1e-9:
-        raise SettingsError(f"the grid must stand on the table: {grid.origin_m[2]} m against {table_z_m} m")
-    body, tracking = body or ToolBody(), tracking or settings.tracking
+    settings = settings or MotionSettings()
+    body, tracking = settings.body, settings.tracking
     field = DistanceField.build(grid, settings.delta)
     result = plan(start, goal, field, settings, seed, body, tracking)
     trajectory, profile, reason = None, None, ""
@@ -169,7 +181,7 @@ def plan_motion(
             trajectory, profile = schedule(result.path, field, settings, body, tracking, settings.rotation_weight_m2)
         except PlanningError as error:
             reason = str(error)
-    return PlannedMotion(result, trajectory, profile, reason, settings, body, tracking, seed, seen)
+    return PlannedMotion(result, trajectory, profile, reason, settings, seed, image_stamp)
 
 
 def _json(value: object) -> object:

@@ -84,7 +84,7 @@ def _execute(job: _Job) -> Outcome:
     motion = load_motion(job.motions, scene.id)
     if motion.trajectory is None:
         return Outcome(scene.id, False, motion.reason)
-    if motion.seen is not None and motion.seen != load_seen(job.fields, scene.id):
+    if motion.image_stamp is not None and motion.image_stamp != load_seen(job.fields, scene.id):
         raise DataError(job.motions / scene.id, "was planned from another image than its field; plan it again")
     mesh, grid = scene.true_mesh(), load_occupancy_grid(job.fields, scene.id)
     try:

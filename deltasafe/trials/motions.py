@@ -8,11 +8,12 @@ from deltasafe.io.storage import atomic_folder
 from deltasafe.perception.calibration.delta_support import Calibration, require_supported_delta
 from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.planning import MotionSettings, PlannedMotion, plan_motion
+from deltasafe.planning.audit import Audit, verify_motion
 from deltasafe.scene import LoggedScene
 from deltasafe.trials.motion_figure import plan_over_image
 from deltasafe.trials.occupancy_fields import load_occupancy_grid, load_p_occupied, load_seen
 
-__all__ = ["load_motion", "plan_scenes"]
+__all__ = ["audit_motions", "load_motion", "plan_scenes"]
 
 
 def plan_scenes(
@@ -39,8 +40,8 @@ def plan_scenes(
     with atomic_folder(folder) as temporary:
         for index, scene in enumerate(scenes):
             grid = load_occupancy_grid(fields, scene.id)
-            seen = load_seen(fields, scene.id)
-            motion = plan_motion(grid, scene.start, scene.goal, scene.table_z_m, settings, seed + index, seen=seen)
+            stamp = load_seen(fields, scene.id)
+            motion = plan_motion(grid, scene.start, scene.goal, settings, seed + index, stamp)
             motion.save(temporary / scene.id)
             plan_over_image(
                 read_rgb(scene.image_path),
@@ -64,3 +65,15 @@ def load_motion(folder: str | pathlib.Path, scene_id: str) -> PlannedMotion:
         DataError: there is none in ``folder``.
     """
     return PlannedMotion.load(pathlib.Path(folder) / scene_id)
+
+
+def audit_motions(
+    scenes: Sequence[LoggedScene], fields: str | pathlib.Path, motions: str | pathlib.Path
+) -> dict[str, Audit]:
+    """Audit the motion of each scene that has a trajectory."""
+    audits = {}
+    for scene in scenes:
+        motion = load_motion(motions, scene.id)
+        if motion.trajectory is not None:
+            audits[scene.id] = verify_motion(motion, load_occupancy_grid(fields, scene.id))
+    return audits

@@ -18,7 +18,6 @@ from deltasafe.planning import (
     PlanStatus,
     SpeedProfile,
     ToolBody,
-    TrackingBound,
 )
 from deltasafe.scene import OccupancyGrid, Sphere, grid_from_shapes
 from faults.judging import Case, Door, Spoil
@@ -87,8 +86,6 @@ def _motions(home: pathlib.Path) -> list[Case]:
         SpeedProfile(np.array([0.0, 0.1]), column, column, column, poses),
         "",
         MotionSettings(),
-        ToolBody(),
-        TrackingBound(),
         0,
     ).save(sound)
 
@@ -97,7 +94,7 @@ def _motions(home: pathlib.Path) -> list[Case]:
 
     door = Door("motion", sound, read)
     record = json.loads((sound / "motion.json").read_text())
-    fields = ("format", "result", "result.status", "settings", "settings.method", "body", "tracking")
+    fields = ("format", "result", "result.status", "settings", "settings.method", "settings.body")
     spoils = {f"motion.json: {name}": at("motion.json", change) for name, change in document_spoils().items()}
     for name, change in field_spoils(record, fields):
         if not name.startswith("without settings.") and name not in ("settings is {}", "body is {}", "tracking is {}"):

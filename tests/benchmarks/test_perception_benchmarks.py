@@ -13,7 +13,7 @@ from benchmarks.plain_training import PngHands, write_pngs
 from benchmarks.training import images_per_s_in_turn, images_per_s_side_by_side
 from deltasafe.io.storage import read_json
 from deltasafe.perception.data.augmentation import AugmentationSettings
-from deltasafe.perception.data.augmented_set import write_augmented_set
+from deltasafe.perception.data.augmented_set import augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.presets import PRESETS
 from pipelines.home import DATASETS
@@ -91,7 +91,7 @@ def test_the_plain_loop_sees_the_same_images(tmp_path):
     hands = LabeledImageSet.load(DATASETS / "hands" / "train")
     two = type(hands)(hands.name, hands.items[:2], hands.pixel_digests[:2], hands.digest)
     settings = AugmentationSettings(n_variants=1, width=64, height=48, supersampling=1)
-    data = write_augmented_set(two, None, settings, tmp_path / "set", workers=1)
+    data = augment_images(two, tmp_path / "set", settings, workers=1)
     write_pngs(data, tmp_path / "png")
     pngs = PngHands(tmp_path / "png")
     assert len(pngs) == 2

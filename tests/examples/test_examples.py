@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deltasafe.errors import ArtifactError, SettingsError
-from deltasafe.perception.artifact.frozen_ensemble import freeze_ensemble, load_ensemble
+from deltasafe.perception.artifact.frozen_ensemble import load_ensemble, write_frozen_ensemble
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.network import build_network
@@ -58,7 +58,7 @@ def frozen(tmp_path_factory):
         for seed in range(2)
     ]
     calibration = dataclasses.replace(CALIBRATION, n_members=2, temperature=0.6)
-    return freeze_ensemble(members, InferenceSettings(64, 48), calibration, image(72, 96), home / "frozen")
+    return write_frozen_ensemble(members, InferenceSettings(64, 48), calibration, image(72, 96), home / "frozen")
 
 
 @pytest.fixture(scope="module")

@@ -34,10 +34,10 @@ __all__ = [
     "FORMAT_VERSION",
     "FrozenEnsemble",
     "artifact_name",
-    "freeze_ensemble",
     "golden_difference",
     "load_ensemble",
     "verify_artifact",
+    "write_frozen_ensemble",
 ]
 
 _FIRST_WITH_ANY_SIZE = 3
@@ -84,7 +84,7 @@ class FrozenEnsemble(Ensemble):
         return backend_of_program(self._backend_name, self.folder / "ensemble.onnx")
 
 
-def freeze_ensemble(
+def write_frozen_ensemble(
     members: list[Member],
     inference: InferenceSettings,
     calibration: Calibration,

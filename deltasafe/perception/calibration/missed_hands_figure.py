@@ -15,7 +15,7 @@ _ORANGE = "#E69F00"
 _N_NAMED = 5
 
 
-def missed_hands_figure(report: CalibrationReport, planning_delta: float = 0.05) -> Figure:
+def missed_hands_figure(report: CalibrationReport) -> Figure:
     """Left: accuracy per confidence of the pixels predicted as hand, and as background, of the ensemble as it is used.
 
     Right: for each image the share of its hand that is missed (p_occupied < 0.5), and the part of it that a planner
@@ -32,7 +32,7 @@ def missed_hands_figure(report: CalibrationReport, planning_delta: float = 0.05)
     left.set(xlim=(0.5, 1), ylim=(np.floor(min(0.5, *drawn) * 20) / 20, 1))
     left.set(xlabel="Confidence", ylabel="Accuracy", title="Is either class as often right as it is sure?")
     left.legend(frameon=False, fontsize=9, loc="lower right")
-    _draw_images(right, report, planning_delta)
+    _draw_images(right, report)
     for axes in (left, right):
         axes.title.set_fontsize(11)
         axes.spines[["top", "right"]].set_visible(False)
@@ -48,9 +48,9 @@ def _draw_class(axes: Axes, curve: Curve, color: str, label: str) -> None:
     axes.fill_between(points[:, 0], points[:, 2], points[:, 3], color=color, alpha=0.15, lw=0)
 
 
-def _draw_images(axes: Axes, report: CalibrationReport, planning_delta: float) -> None:
+def _draw_images(axes: Axes, report: CalibrationReport) -> None:
     order = report.most_missed_first
-    column = min(int(np.searchsorted(DELTA_GRID, planning_delta)), len(DELTA_GRID) - 1)
+    column = min(int(np.searchsorted(DELTA_GRID, report.settings.planning_delta)), len(DELTA_GRID) - 1)
     missed = np.array([report.images[i].missed_hand_rate for i in order], dtype=np.float64)
     taken = np.array([(report.final.taken_for_free[i] or (0.0,) * len(DELTA_GRID))[column] for i in order])
     place = np.arange(len(order))

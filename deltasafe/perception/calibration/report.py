@@ -43,6 +43,8 @@ class CalibrationSettings:
         recalibrate: the ensemble is used and frozen with the temperature; without it, as it is.
         missed_hand_alpha: largest expected share of a hand with p_occupied up to the threshold that conformal risk
             control is to find.
+        planning_delta: the delta that motions are planned with. The report marks hand pixels with p_occupied up to it,
+            and the gate requires that the images support it.
     """
 
     n_bootstrap: int = 2000
@@ -51,8 +53,11 @@ class CalibrationSettings:
     seed: int = 0
     recalibrate: bool = True
     missed_hand_alpha: float = 0.05
+    planning_delta: float = 0.05
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.planning_delta < 1.0:
+            raise SettingsError(f"planning_delta must lie in (0, 1), got {self.planning_delta}")
         if not 0.0 < self.missed_hand_alpha < 1.0:
             raise SettingsError(f"missed_hand_alpha must lie in (0, 1), got {self.missed_hand_alpha}")
         if self.n_bootstrap < 100:
@@ -272,14 +277,12 @@ class GateThresholds:
 
     Attributes:
         pixel_accuracy, miou: least values of the whole ensemble.
-        planning_delta: the delta that planning will use; the data must support it.
         missed_hand_rate: largest share of a hand that may be missed (p_occupied < 0.5) in any image; 1 asks
             nothing.
     """
 
     pixel_accuracy: float = 0.9
     miou: float = 0.8
-    planning_delta: float = 0.05
     missed_hand_rate: float = 1.0
 
     def __post_init__(self) -> None:
@@ -299,11 +302,11 @@ def gate(report: CalibrationReport, thresholds: GateThresholds) -> list[str]:
         )
         if value < least
     ]
-    supported = report.smallest_supported_delta
+    supported, planned = report.smallest_supported_delta, report.settings.planning_delta
     if supported is None:
-        failures.append(f"the images support no delta, planning needs {thresholds.planning_delta:g}")
-    elif supported > thresholds.planning_delta:
-        failures.append(f"the smallest supported delta is {supported:g}, planning needs {thresholds.planning_delta:g}")
+        failures.append(f"the images support no delta, planning needs {planned:g}")
+    elif supported > planned:
+        failures.append(f"the smallest supported delta is {supported:g}, planning needs {planned:g}")
     failures += [
         f"{image.missed_hand_rate:.1%} of the hand in {image_id} is missed, "
         f"{thresholds.missed_hand_rate:.1%} is allowed"

@@ -20,13 +20,13 @@ _MEASURES = (
 )
 
 
-def report_markdown(report: CalibrationReport, pictures: Iterable[str], planning_delta: float = 0.05) -> str:
+def report_markdown(report: CalibrationReport, pictures: Iterable[str]) -> str:
     """The report as Markdown that links the ``pictures`` (file names) which lie beside it."""
     sections = (
         _summary(report),
         _glance(report),
-        delta_section(report, planning_delta),
-        missed_hand_section(report, planning_delta),
+        delta_section(report),
+        missed_hand_section(report),
         calibration_section(report),
         _size_section(report),
         _failures_section(report, set(pictures)),

@@ -7,9 +7,9 @@ from deltasafe.reporting.markdown import percent, table
 __all__ = ["calibration_section", "delta_section", "missed_hand_section"]
 
 
-def delta_section(report: CalibrationReport, planning_delta: float) -> str:
+def delta_section(report: CalibrationReport) -> str:
     """Which delta do the images support, and does it hold on images that it was not fitted on?"""
-    shown = {0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, planning_delta, report.smallest_supported_delta}
+    shown = {0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, report.settings.planning_delta, report.smallest_supported_delta}
     rows = [
         (
             f"{row.delta:g}",
@@ -71,9 +71,12 @@ def _held_out_delta(report: CalibrationReport) -> str:
     )
 
 
-def missed_hand_section(report: CalibrationReport, planning_delta: float) -> str:
+def missed_hand_section(report: CalibrationReport) -> str:
     """How much of a hand is missed: image by image, and bounded by conformal risk control."""
-    column = min((k for k, delta in enumerate(DELTA_GRID) if delta >= planning_delta), default=len(DELTA_GRID) - 1)
+    column = min(
+        (k for k, delta in enumerate(DELTA_GRID) if delta >= report.settings.planning_delta),
+        default=len(DELTA_GRID) - 1,
+    )
     chosen = report.most_missed_first[:5]
     taken = {i: report.final.taken_for_free[i] for i in chosen}
     rows = [

@@ -30,7 +30,6 @@ def write_calibration_report(
     predictions: Sequence[NDArray[np.floating]],
     load_image: Callable[[str], NDArray[np.uint8]] | None = None,
     n_examples: int = 3,
-    planning_delta: float = 0.05,
 ) -> pathlib.Path:
     """Write `report.json`, `report.md` and the pictures; the folder appears as a whole or not at all.
 
@@ -39,7 +38,6 @@ def write_calibration_report(
         labels, predictions: what the report was computed from; only the worst and best images are read again.
         load_image: image id -> (H, W, 3) uint8 at the label's resolution; without it there are no overlays.
         n_examples: number of worst and of best images to draw.
-        planning_delta: hand with p_occupied up to it is marked as what a planner would drive through.
 
     Returns:
         path of `report.md`.
@@ -60,13 +58,13 @@ def write_calibration_report(
     n_examples = min(n_examples, len(labels))
     pictures = {
         "reliability.png": reliability_figure(report),
-        "missed_hands.png": missed_hands_figure(report, planning_delta),
+        "missed_hands.png": missed_hands_figure(report),
         "ensemble_reliability.png": ensemble_reliability_figure(report),
         "ensemble_size.png": ensemble_size_figure(report),
     }
     if load_image is not None and n_examples > 0:
         for name, chosen in (
-            ("worst.jpg", report.worst_examples(n_examples, planning_delta)),
+            ("worst.jpg", report.worst_examples(n_examples, report.settings.planning_delta)),
             ("best.jpg", report.worst_first[::-1][:n_examples]),
         ):
             overlays = [
@@ -80,13 +78,13 @@ def write_calibration_report(
                 )
                 for i in chosen
             ]
-            pictures[name] = overlay_figure(overlays, planning_delta)
+            pictures[name] = overlay_figure(overlays, report.settings.planning_delta)
     with atomic_folder(folder) as temporary:
         write_json(temporary / "report.json", report)
         for name, figure in pictures.items():
             options: dict[str, Any] = {"pil_kwargs": {"quality": 85}} if name.endswith(".jpg") else {}
             figure.savefig(temporary / name, dpi=96, **options)
-        text = report_markdown(report, pictures, planning_delta)
+        text = report_markdown(report, pictures)
         (temporary / "report.md").write_text(text, encoding="utf-8")
     return pathlib.Path(folder) / "report.md"
 

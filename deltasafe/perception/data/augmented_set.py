@@ -31,7 +31,7 @@ from deltasafe.perception.data.schemes import SCHEMES, SchemeSettings, scheme_of
 from deltasafe.perception.data.schemes.generation import Maker, maker_of, stored_form
 from deltasafe.perception.data.schemes.soft_masks import hand_share
 
-__all__ = ["AugmentedSet", "remake", "write_augmented_set"]
+__all__ = ["AugmentedSet", "augment_images", "remake"]
 
 FORMAT = 1
 
@@ -127,25 +127,24 @@ class AugmentedSet:
                 raise DataError(self.folder, f"image {i} differs from its recipe; write the augmented set again")
 
 
-def write_augmented_set(
-    hands: LabeledImageSet,
-    backgrounds: str | pathlib.Path | None,
-    settings: SchemeSettings,
+def augment_images(
+    images: LabeledImageSet,
     folder: str | pathlib.Path,
+    settings: SchemeSettings | None = None,
+    backgrounds: str | pathlib.Path | None = None,
     *,
     workers: int = 2,
     progress: Progress = silent,
 ) -> AugmentedSet:
-    """Make ``settings.n_variants`` new images of each original and store them as one folder, whole or not at
-    all.
+    """Make ``settings.n_variants`` new images of each original and store them as one folder.
 
     Args:
-        hands: the originals.
-        backgrounds: folder of pictures without hands, for our scheme; None uses procedural surfaces alone.
-        settings: of the scheme; their class chooses it (`deltasafe.perception.data.schemes`).
+        images: the labeled originals.
         folder: destination; an existing one is replaced when the new one is complete.
-        workers: processes; their number changes no byte. 1 works in this process.
-        progress: told after each original.
+        settings: of the scheme; their class selects it (`deltasafe.perception.data.schemes`). Default: ours.
+        backgrounds: folder of pictures without the object, for our scheme; None uses procedural surfaces only.
+        workers: number of processes; it does not change the result. 1 works in this process.
+        progress: called after each original.
 
     Raises:
         DataError: an original or a background is defective.
@@ -153,32 +152,33 @@ def write_augmented_set(
     """
     if workers < 1:
         raise SettingsError(f"workers is {workers}; choose at least 1")
+    settings = settings or AugmentationSettings()
     ours = isinstance(settings, AugmentationSettings)
     backgrounds = backgrounds if ours else None
     pictures = _pictures(backgrounds)
-    n, (size, mask_type) = len(hands) * settings.n_variants, stored_form(settings)
+    n, (size, mask_type) = len(images) * settings.n_variants, stored_form(settings)
     recipes: list[dict[str, Any]] = []
     with atomic_folder(folder) as temporary:
-        images = _room(temporary / "images.npy", np.uint8, (n, *size, 3))
+        pixels = _room(temporary / "images.npy", np.uint8, (n, *size, 3))
         masks = _room(temporary / "masks.npy", mask_type, (n, *size))
-        for done, variants in enumerate(_all_variants(hands, backgrounds, settings, workers), start=1):
+        for done, variants in enumerate(_all_variants(images, backgrounds, settings, workers), start=1):
             for made in variants:
-                images[len(recipes)], masks[len(recipes)] = made.image, made.mask
+                pixels[len(recipes)], masks[len(recipes)] = made.image, made.mask
                 recipes.append(made.recipe)
-            progress(done, len(hands), f"augmented {hands.items[done - 1].id}")
-        images.flush()
+            progress(done, len(images), f"augmented {images.items[done - 1].id}")
+        pixels.flush()
         masks.flush()
-        del images, masks
+        del pixels, masks
         with (temporary / "recipes.jsonl").open("w", encoding="utf-8") as file:
             file.writelines(json.dumps(recipe) + "\n" for recipe in recipes)
         described = {
             "format": FORMAT,
             "n": n,
             "settings": dataclasses.asdict(settings),
-            "source": hands.name,
-            "source_digest": hands.digest,
+            "source": images.name,
+            "source_digest": images.digest,
             "background_digest": pictures.digest,
-            "digest": _digest(settings, hands.digest, pictures.digest, tuple(recipes)),
+            "digest": _digest(settings, images.digest, pictures.digest, tuple(recipes)),
             "applied": {name: _count(recipes, name) for name in (METHOD_NAMES if ours else _methods(recipes))},
             **({} if ours else {"scheme": scheme_of(settings)}),
         }

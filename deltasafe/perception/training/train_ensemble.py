@@ -13,9 +13,9 @@ from deltasafe.errors import SettingsError
 from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.settings import TrainingSettings
 from deltasafe.perception.training.member import Member
-from deltasafe.perception.training.train_member import StepReport, pick_device, train_member
+from deltasafe.perception.training.train_member import StepReport, pick_device, train_member, training_identity
 
-__all__ = ["MemberJob", "train_members"]
+__all__ = ["MemberJob", "train_ensemble", "train_members"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,6 +25,38 @@ class MemberJob:
     name: str
     seed: int
     folder: pathlib.Path
+
+
+def train_ensemble(
+    data: AugmentedSet,
+    folder: str | pathlib.Path,
+    settings: TrainingSettings | None = None,
+    n_members: int = 5,
+    *,
+    device: str = "auto",
+    workers: int = 0,
+    on_step: Callable[[str, StepReport], None] | None = None,
+) -> list[Member]:
+    """Train ``n_members`` members with seeds 0, 1, ... into subfolders of ``folder``.
+
+    A second call finds finished members and resumes interrupted ones.
+
+    Args:
+        folder: each member's subfolder is named by the digest of settings, data and seed.
+        device, workers, on_step: see `train_members`.
+
+    Raises:
+        SettingsError: ``n_members`` is less than 1, or see `train_members`.
+    """
+    if n_members < 1:
+        raise SettingsError(f"n_members must be at least 1, got {n_members}")
+    settings = settings or TrainingSettings()
+    jobs = [
+        MemberJob(f"member_{seed}", seed, pathlib.Path(folder) / training_identity(data, settings, seed)[:16])
+        for seed in range(n_members)
+    ]
+    trained = train_members(jobs, data.folder, settings, device=device, workers=workers, on_step=on_step)
+    return [trained[job.name] for job in jobs]
 
 
 def train_members(

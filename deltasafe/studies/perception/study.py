@@ -17,7 +17,7 @@ from deltasafe.io.storage import digest_of, sha256_of_file, write_json
 from deltasafe.perception.calibration.evaluation import evaluate
 from deltasafe.perception.calibration.report import FORMAT_VERSION, CalibrationReport, CalibrationSettings
 from deltasafe.perception.data.augmentation import AugmentationSettings
-from deltasafe.perception.data.augmented_set import AugmentedSet, write_augmented_set
+from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.schemes import SCHEMES, ComparedSettings, CutoutSettings, MixupSettings, SchemeSettings
 from deltasafe.perception.inference.ensemble import Ensemble
@@ -153,8 +153,8 @@ class Study:
         """The augmented set of ``cell``, made where there is none."""
         found = self.find_set(cell)
         settings, folder = self.scheme_settings(cell), self._set_folder(cell)
-        return found or write_augmented_set(
-            self.train, self.backgrounds, settings, folder, workers=self.workers or 2, progress=progress
+        return found or augment_images(
+            self.train, folder, settings, self.backgrounds, workers=self.workers or 2, progress=progress
         )
 
     def members(
@@ -221,7 +221,7 @@ class Study:
             self.scheme_settings(cell),
             self.train.digest,
             backgrounds,
-            digest_of_code(write_augmented_set),
+            digest_of_code(augment_images),
         ]
         return self.store.augmented_set(digest_of(key))
 

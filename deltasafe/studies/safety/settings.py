@@ -115,7 +115,7 @@ class SafetyStudySettings:
     camera: CameraSettings = dataclasses.field(default_factory=CameraSettings)
     task: TaskSettings = dataclasses.field(default_factory=TaskSettings)
     field: FieldSettings = dataclasses.field(default_factory=FieldSettings)
-    motion: MotionSettings = dataclasses.field(default_factory=lambda: MotionSettings(cost="area"))
+    motion: MotionSettings = dataclasses.field(default_factory=MotionSettings)
     execution: ExecutionSettings = dataclasses.field(default_factory=ExecutionSettings)
 
     def __post_init__(self) -> None:

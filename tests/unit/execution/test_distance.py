@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution.distance import MeshDistance
-from deltasafe.execution.verdict import body_points
+from deltasafe.planning.audit import body_points
 from deltasafe.planning.body import ToolBody
 from tests.unit.execution.conftest import ball
 

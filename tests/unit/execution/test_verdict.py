@@ -8,8 +8,9 @@ import pytest
 from PIL import Image
 
 from deltasafe.errors import SettingsError
-from deltasafe.execution import Execution, FilmSettings, body_points, judge, save_film
+from deltasafe.execution import Execution, FilmSettings, judge, save_film
 from deltasafe.execution.kinematics import ArmMount, IiwaKinematics
+from deltasafe.planning.audit import body_points
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene.camera import Camera

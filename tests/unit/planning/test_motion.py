@@ -1,12 +1,15 @@
+import dataclasses
 import json
 import pathlib
 
 import pytest
 
 from deltasafe.compute import numba_cache
-from deltasafe.errors import DataError, SettingsError
+from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
-from deltasafe.planning import MotionSettings, PlannedMotion, PlanStatus, plan_motion
+from deltasafe.io.records import from_json
+from deltasafe.planning import MotionSettings, PlannedMotion, PlanStatus, ToolBody, plan_motion
+from deltasafe.presets import PRESETS
 from deltasafe.scene import Cuboid, OccupancyGrid, grid_from_shapes
 
 START, GOAL = Pose(-0.14, 0.0, 0.03), Pose(0.14, 0.0, 0.03, 0.5)
@@ -21,7 +24,7 @@ def grid() -> OccupancyGrid:
 
 @pytest.fixture(scope="module")
 def motion(grid: OccupancyGrid) -> PlannedMotion:
-    return plan_motion(grid, START, GOAL, 0.0, MotionSettings(n_iterations=500), 3)
+    return plan_motion(grid, START, GOAL, MotionSettings(n_iterations=500), 3)
 
 
 def test_a_motion_is_complete_and_survives_storage(motion: PlannedMotion, tmp_path: pathlib.Path) -> None:
@@ -43,7 +46,7 @@ def test_a_motion_is_complete_and_survives_storage(motion: PlannedMotion, tmp_pa
 
 
 def test_no_path_is_an_outcome_and_survives_storage(grid: OccupancyGrid, tmp_path: pathlib.Path) -> None:
-    motion = plan_motion(grid, Pose(0, 0, 0.03), GOAL, 0.0, MotionSettings(), 0)
+    motion = plan_motion(grid, Pose(0, 0, 0.03), GOAL, MotionSettings(), 0)
     assert not motion.is_safe
     assert motion.trajectory is None
     assert motion.reason.startswith("start unsafe")
@@ -72,19 +75,14 @@ def test_broken_storage_is_named(motion: PlannedMotion, tmp_path: pathlib.Path) 
         PlannedMotion.load(folder)
 
 
-def test_the_grid_must_stand_on_the_table(grid: OccupancyGrid) -> None:
-    with pytest.raises(SettingsError, match="stand on the table"):
-        plan_motion(grid, START, GOAL, 0.01, MotionSettings(), 0)
+def test_settings_survive_json_and_hold_the_tool() -> None:
+    settings = MotionSettings(gamma0_m=0.002, body=ToolBody(0.02, 0.01))
+    assert from_json(MotionSettings, json.loads(json.dumps(dataclasses.asdict(settings)))) == settings
+    assert (settings.tracking.gamma0_m, settings.body.semi_axis_x_m) == (0.002, 0.02)
 
 
-def test_settings_are_flat_and_plain() -> None:
-    import dataclasses
-
-    values = dataclasses.asdict(MotionSettings())
-    assert all(isinstance(value, int | float | str | bool) for value in values.values())
-    assert values["n_iterations"] == 2000
-    assert values["v_max_mps"] == 0.2
-    assert MotionSettings(**json.loads(json.dumps(values))) == MotionSettings()
+def test_default_settings_are_those_of_the_default_preset() -> None:
+    assert MotionSettings() == PRESETS["default"].motion == PRESETS["paper"].motion
 
 
 def test_a_cache_written_with_foreign_types_is_not_fatal(monkeypatch: pytest.MonkeyPatch) -> None:

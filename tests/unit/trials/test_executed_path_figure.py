@@ -23,7 +23,7 @@ SEEN = SEEN.astype(np.float32)
 
 def planned(start):
     grid = grid_from_image(SEEN, CAMERA, 0.0, 0.05)
-    return plan_motion(grid, start, Pose(0.13, 0.0, 0.03), 0.0, MotionSettings(n_iterations=300), 0)
+    return plan_motion(grid, start, Pose(0.13, 0.0, 0.03), MotionSettings(n_iterations=300), 0)
 
 
 def executed(motion):

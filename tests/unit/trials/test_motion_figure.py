@@ -25,7 +25,7 @@ def probabilities() -> np.ndarray:
 def test_a_motion_and_its_absence_are_drawn(start: Pose, tmp_path: pathlib.Path) -> None:
     image = np.full((120, 160, 3), 90, np.uint8)
     grid = grid_from_image(probabilities(), CAMERA, 0.0, 0.05)
-    motion = plan_motion(grid, start, Pose(0.13, 0.0, 0.03), 0.0, MotionSettings(n_iterations=300), 0)
+    motion = plan_motion(grid, start, Pose(0.13, 0.0, 0.03), MotionSettings(n_iterations=300), 0)
     assert motion.is_safe == (start.x_m < 0)
     plan_over_image(image, probabilities(), CAMERA, motion, ToolBody(), 0.05, tmp_path / "plan.png")
     drawn = imread(tmp_path / "plan.png")
@@ -36,7 +36,7 @@ def test_a_motion_and_its_absence_are_drawn(start: Pose, tmp_path: pathlib.Path)
 
 def test_images_of_another_size_are_refused_before_anything_is_written(tmp_path: pathlib.Path) -> None:
     grid = grid_from_image(probabilities(), CAMERA, 0.0, 0.05)
-    motion = plan_motion(grid, Pose(0, -0.02, 0.03), Pose(0.13, 0, 0.03), 0.0, MotionSettings(), 0)
+    motion = plan_motion(grid, Pose(0, -0.02, 0.03), Pose(0.13, 0, 0.03), MotionSettings(), 0)
     with pytest.raises(SettingsError, match="camera's size"):
         plan_over_image(
             np.zeros((5, 5, 3), np.uint8), probabilities(), CAMERA, motion, ToolBody(), 0.05, tmp_path / "a.png"

@@ -13,8 +13,8 @@ from deltasafe.execution.simulate import ExecutionSettings
 from deltasafe.geometry import Trajectory
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.planning import MotionSettings, ToolBody
+from deltasafe.planning.audit import audit_trajectory
 from deltasafe.scene import FieldSettings, OccupancyGrid, load_scenes
-from deltasafe.trials.audit import audit_trajectory
 from deltasafe.trials.executions import execute_scenes, load_outcomes
 from deltasafe.trials.motions import load_motion, plan_scenes
 from deltasafe.trials.occupancy_fields import load_occupancy_grid, load_p_occupied, load_seen, missed_hand, write_fields
@@ -221,7 +221,7 @@ def test_which_image_a_motion_was_planned_from_travels_with_it(chain, tmp_path):
     scenes, root, *_ = chain
     scene = scenes[0]
     motion = load_motion(root / "motions", scene.id)
-    assert motion.seen == load_seen(root / "fields", scene.id)
+    assert motion.image_stamp == load_seen(root / "fields", scene.id)
     fields = tmp_path / "fields"
     shutil.copytree(root / "fields", fields)
     shutil.copy(fields / scenes[1].id / "seen.json", fields / scene.id / "seen.json")

@@ -11,10 +11,10 @@ import deltasafe
 from deltasafe.cli import main
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.perception.artifact.frozen_ensemble import (
-    freeze_ensemble,
     golden_difference,
     load_ensemble,
     verify_artifact,
+    write_frozen_ensemble,
 )
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.inference.ensemble import Ensemble
@@ -57,7 +57,7 @@ def members(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def frozen(members, tmp_path_factory):
-    return freeze_ensemble(members, INFERENCE, CALIBRATION, image(), tmp_path_factory.mktemp("artifacts"))
+    return write_frozen_ensemble(members, INFERENCE, CALIBRATION, image(), tmp_path_factory.mktemp("artifacts"))
 
 
 @pytest.fixture
@@ -102,7 +102,7 @@ def test_aspect_ratio_is_kept_and_area_is_about_what_was_asked():
 
 
 def test_freezing_twice_gives_the_same_name_and_no_second_folder(members, frozen):
-    again = freeze_ensemble(members, INFERENCE, CALIBRATION, image(), frozen.parent)
+    again = write_frozen_ensemble(members, INFERENCE, CALIBRATION, image(), frozen.parent)
     assert again == frozen
     assert [path.name for path in frozen.parent.iterdir()] == [frozen.name]
 
@@ -166,10 +166,12 @@ def test_a_damaged_calibration_is_named(tmp_path):
 def test_another_calibration_is_another_artifact(members, frozen, tmp_path):
     import dataclasses
 
-    other = freeze_ensemble(members, INFERENCE, dataclasses.replace(CALIBRATION, temperature=1.5), image(), tmp_path)
+    other = write_frozen_ensemble(
+        members, INFERENCE, dataclasses.replace(CALIBRATION, temperature=1.5), image(), tmp_path
+    )
     assert other.name != frozen.name
     with pytest.raises(SettingsError, match="of 2 members"):
-        freeze_ensemble(members[:1], INFERENCE, CALIBRATION, image(), tmp_path)
+        write_frozen_ensemble(members[:1], INFERENCE, CALIBRATION, image(), tmp_path)
 
 
 @pytest.mark.parametrize("name", ["member-1.safetensors", "calibration.json", "golden.npz", "ensemble.onnx"])

@@ -10,7 +10,7 @@ import pytest
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.data.augmentation import METHOD_NAMES, AugmentationSettings, Backgrounds
-from deltasafe.perception.data.augmented_set import AugmentedSet, remake, write_augmented_set
+from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images, remake
 from deltasafe.perception.data.contact_sheet import contact_sheet, scheme_sheet
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 
@@ -32,7 +32,7 @@ def hands(tmp_path_factory: pytest.TempPathFactory) -> LabeledImageSet:
 @pytest.fixture(scope="module")
 def made(hands: LabeledImageSet, tmp_path_factory: pytest.TempPathFactory) -> AugmentedSet:
     folder = tmp_path_factory.mktemp("augmented") / "set"
-    return write_augmented_set(hands, DATASETS / "backgrounds", SETTINGS, folder, workers=1)
+    return augment_images(hands, folder, SETTINGS, DATASETS / "backgrounds", workers=1)
 
 
 @pytest.fixture
@@ -60,11 +60,11 @@ def test_the_number_of_processes_changes_no_byte(
     made: AugmentedSet, hands: LabeledImageSet, tmp_path: pathlib.Path
 ) -> None:
     told: list[tuple[int, int]] = []
-    other = write_augmented_set(
+    other = augment_images(
         hands,
-        DATASETS / "backgrounds",
-        SETTINGS,
         tmp_path / "two",
+        SETTINGS,
+        DATASETS / "backgrounds",
         workers=2,
         progress=lambda done, total, message: told.append((done, total)),
     )
@@ -96,7 +96,7 @@ def test_without_a_folder_of_backgrounds_surfaces_are_procedural(
     hands: LabeledImageSet, tmp_path: pathlib.Path
 ) -> None:
     few = AugmentationSettings(n_variants=1, width=64, height=48)
-    made = write_augmented_set(hands, None, few, tmp_path / "set", workers=1)
+    made = augment_images(hands, tmp_path / "set", few, workers=1)
     assert made.background_digest == ""
     assert all(not r["operations"][0]["source"].endswith(".jpg") for r in made.recipes)
 
@@ -105,7 +105,7 @@ def test_the_digest_follows_settings_and_backgrounds(
     made: AugmentedSet, hands: LabeledImageSet, tmp_path: pathlib.Path
 ) -> None:
     reseeded = AugmentationSettings(n_variants=4, width=64, height=48, seed=1)
-    other = write_augmented_set(hands, DATASETS / "backgrounds", reseeded, tmp_path / "set", workers=1)
+    other = augment_images(hands, tmp_path / "set", reseeded, DATASETS / "backgrounds", workers=1)
     assert other.digest != made.digest
 
 
@@ -114,11 +114,11 @@ def test_a_failed_writing_leaves_nothing_behind(hands: LabeledImageSet, tmp_path
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_augmented_set(hands, None, SETTINGS, tmp_path / "set", workers=1, progress=stop)
+        augment_images(hands, tmp_path / "set", SETTINGS, workers=1, progress=stop)
     with pytest.raises(SettingsError, match="workers is 0"):
-        write_augmented_set(hands, None, SETTINGS, tmp_path / "set", workers=0)
+        augment_images(hands, tmp_path / "set", SETTINGS, workers=0)
     with pytest.raises(DataError, match="is not a folder"):
-        write_augmented_set(hands, tmp_path / "none", SETTINGS, tmp_path / "set", workers=1)
+        augment_images(hands, tmp_path / "set", SETTINGS, tmp_path / "none", workers=1)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch.nn import functional
 
 from deltasafe.errors import DataError, SettingsError
-from deltasafe.perception.data.augmented_set import AugmentedSet, write_augmented_set
+from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.schemes import (
     SCHEMES,
@@ -201,15 +201,15 @@ def test_a_stored_set_holds_exactly_what_was_asked_and_is_the_same_again(
     name: str, hands: LabeledImageSet, tmp_path: pathlib.Path
 ) -> None:
     chosen = SCHEMES[name](n_variants=4, width=64, height=48)
-    made = write_augmented_set(hands, None, chosen, tmp_path / "set", workers=1)
+    made = augment_images(hands, tmp_path / "set", chosen, workers=1)
     assert (made.n, made.scheme, made.settings) == (12, name, chosen)
     assert [r["source"] for r in made.recipes] == [item.id for item in hands.items for _ in range(4)]
     made.verify()
-    again = write_augmented_set(hands, DATASETS / "backgrounds", chosen, tmp_path / "again", workers=1)
+    again = augment_images(hands, tmp_path / "again", chosen, DATASETS / "backgrounds", workers=1)
     assert again.digest == made.digest, "backgrounds are no business of the compared schemes"
     np.testing.assert_array_equal(again.images, made.images)
     reseeded = SCHEMES[name](n_variants=4, width=64, height=48, seed=1)
-    other = write_augmented_set(hands, None, reseeded, tmp_path / "other", workers=1)
+    other = augment_images(hands, tmp_path / "other", reseeded, workers=1)
     assert other.digest != made.digest
     assert not np.array_equal(other.images, made.images)
     labels = made.labels(np.array([3, 0]))
@@ -228,7 +228,7 @@ def test_soft_labels_reach_the_network_as_they_are(hands: LabeledImageSet, tmp_p
     from deltasafe.perception.training.train_member import train_member
 
     chosen = MixupSettings(n_variants=2, width=64, height=48, alpha=4.0)
-    made = write_augmented_set(hands, None, chosen, tmp_path / "set", workers=1)
+    made = augment_images(hands, tmp_path / "set", chosen, workers=1)
     labels = made.labels(slice(None))
     assert ((labels > 0.05) & (labels < 0.95)).any()
     np.testing.assert_allclose(labels, made.masks / 65535, atol=1e-7)
@@ -239,7 +239,7 @@ def test_soft_labels_reach_the_network_as_they_are(hands: LabeledImageSet, tmp_p
 
 
 def test_a_set_of_a_scheme_that_nobody_knows_is_refused(hands: LabeledImageSet, tmp_path: pathlib.Path) -> None:
-    write_augmented_set(hands, None, CutoutSettings(1, 64, 48), tmp_path / "set", workers=1)
+    augment_images(hands, tmp_path / "set", CutoutSettings(1, 64, 48), workers=1)
     text = (tmp_path / "set" / "set.json").read_text()
     (tmp_path / "set" / "set.json").write_text(text.replace('"scheme": "cutout"', '"scheme": "cutmix"'))
     with pytest.raises(DataError, match="unknown scheme 'cutmix'; known: cutout"):

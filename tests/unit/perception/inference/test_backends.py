@@ -10,7 +10,7 @@ from torch import nn
 
 from deltasafe.errors import ArtifactError, SettingsError
 from deltasafe.perception.artifact import onnx_winograd
-from deltasafe.perception.artifact.frozen_ensemble import freeze_ensemble, golden_difference, load_ensemble
+from deltasafe.perception.artifact.frozen_ensemble import golden_difference, load_ensemble, write_frozen_ensemble
 from deltasafe.perception.artifact.fuse_conv_bn import fuse_conv_bn
 from deltasafe.perception.artifact.onnx_export import export_onnx
 from deltasafe.perception.calibration.delta_support import Calibration
@@ -63,7 +63,7 @@ def frozen(tmp_path_factory):
         Member.write(tmp_path_factory.mktemp("member"), network(NETWORK, seed), {**record, "seed": seed})
         for seed in range(3)
     ]
-    return freeze_ensemble(members, INFERENCE, CALIBRATION, image(48, 64), tmp_path_factory.mktemp("artifacts"))
+    return write_frozen_ensemble(members, INFERENCE, CALIBRATION, image(48, 64), tmp_path_factory.mktemp("artifacts"))
 
 
 def installed(backend):

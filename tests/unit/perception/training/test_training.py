@@ -172,20 +172,15 @@ def test_settings_outside_their_domain_are_refused(wrong):
 
 
 def test_members_of_different_settings_are_not_judged_as_one_ensemble(data, uninterrupted, tmp_path):
-    from deltasafe.perception.calibration.report import CalibrationSettings
     from deltasafe.perception.data.labeled_images import LabeledImageSet
-    from deltasafe.perception.evaluate_ensemble import evaluate_members
-    from deltasafe.perception.settings import InferenceSettings
+    from deltasafe.perception.evaluate_and_freeze import evaluate_ensemble
 
     other = train_member(data, dataclasses.replace(SMALL, epochs=1), 8, tmp_path / "other", "cpu")
     with pytest.raises(SettingsError, match="different settings"):
-        evaluate_members(
+        evaluate_ensemble(
             [uninterrupted, other],
             LabeledImageSet("none", (), (), ""),
             tmp_path / "report",
-            inference=InferenceSettings(),
-            settings=CalibrationSettings(),
-            planning_delta=0.05,
         )
     assert not (tmp_path / "report").exists()
 
@@ -193,15 +188,13 @@ def test_members_of_different_settings_are_not_judged_as_one_ensemble(data, unin
 def test_members_side_by_side_are_those_trained_alone(data, tmp_path):
     """Two processes against this one; one thread each, so that sums are taken in the same order."""
     from deltasafe.perception.data.augmentation.settings import AugmentationSettings
-    from deltasafe.perception.data.augmented_set import write_augmented_set
+    from deltasafe.perception.data.augmented_set import augment_images
     from deltasafe.perception.data.labeled_images import LabeledImageSet
     from deltasafe.perception.training.train_ensemble import MemberJob, train_members
 
     hands = LabeledImageSet.load(pathlib.Path(__file__).parents[4] / "datasets" / "hands" / "train")
     few = dataclasses.replace(hands, items=hands.items[:4], pixel_digests=hands.pixel_digests[:4])
-    stored = write_augmented_set(
-        few, None, AugmentationSettings(n_variants=2, width=64, height=48), tmp_path / "set", workers=1
-    )
+    stored = augment_images(few, tmp_path / "set", AugmentationSettings(n_variants=2, width=64, height=48), workers=1)
     settings = dataclasses.replace(SMALL, epochs=1)
     jobs = [MemberJob(f"member_{seed}", seed, tmp_path / f"side-{seed}") for seed in range(2)]
     heard = set()

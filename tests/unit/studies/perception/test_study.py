@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.report import CalibrationSettings
 from deltasafe.perception.data.augmentation import AugmentationSettings
-from deltasafe.perception.data.augmented_set import AugmentedSet, write_augmented_set
+from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.schemes import SCHEMES, CutoutSettings, MixupSettings
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
@@ -182,7 +182,7 @@ def test_stacked_predictions_are_those_of_the_ensemble(study: Study, trained: li
 def test_what_the_chain_has_trained_is_found(study: Study, trained: list[str], tmp_path: pathlib.Path) -> None:
     """The chain makes its own copy of the set and names members by their identity; the study shares the members."""
     ours = dataclasses.replace(study.augmentation, n_variants=4)
-    data = write_augmented_set(study.train, None, ours, tmp_path / "chain", workers=1)
+    data = augment_images(study.train, tmp_path / "chain", ours, workers=1)
     identity = training_identity(data, study.training, seed=0)
     train_member(data, study.training, 0, study.store.home / "ensemble_member" / identity[:16], device="cpu")
     study.judge(Cell("ours", 12, 2))
@@ -193,7 +193,7 @@ def test_finished_cells_are_found_without_any_work(study: Study, monkeypatch: py
     def refuse(*arguments, **named):
         raise AssertionError("nothing is to be computed")
 
-    for name in ("write_augmented_set", "train_members", "calibrate", "Ensemble"):
+    for name in ("augment_images", "train_members", "calibrate", "Ensemble"):
         monkeypatch.setattr(module, name, refuse)
     assert "cutout-6" not in study.finished()
     other = dataclasses.replace(study, inference=InferenceSettings(96, 64))

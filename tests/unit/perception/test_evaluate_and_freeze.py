@@ -12,7 +12,7 @@ from deltasafe.io.storage import read_json
 from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
 from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
 from deltasafe.perception.data.labeled_images import LabeledImageSet
-from deltasafe.perception.evaluate_ensemble import evaluate_members, freeze_evaluated
+from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble, freeze_ensemble
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.network import build_network
@@ -51,19 +51,17 @@ def sets(tmp_path_factory):
 
 
 def evaluate(members, sets, folder, **options):
-    return evaluate_members(
-        members, sets[0], folder, inference=INFERENCE, settings=SETTINGS, planning_delta=0.05, device="cpu", **options
-    )
+    return evaluate_ensemble(members, sets[0], folder, EvaluationSettings(INFERENCE, SETTINGS), device="cpu", **options)
 
 
 def test_the_frozen_ensemble_uses_the_temperature_of_the_calibration_images(members, sets, tmp_path):
     folder = tmp_path / "report"
-    report = evaluate(members, sets, folder, calibration=sets[1])
+    report = evaluate(members, sets, folder, calibration_images=sets[1])
     assert CalibrationReport.load(folder) == report
     assert (len(report.image_ids), report.n_calibration_images) == (4, 5)
     assert read_json(folder / "judged.json")["calibration_digest"] == sets[1].digest
     rgb = sets[0].read(0)[0]
-    frozen = freeze_evaluated(members, folder, rgb, tmp_path)
+    frozen = freeze_ensemble(members, folder, rgb, tmp_path)
     ensemble = load_ensemble(frozen)
     temperature = report.recalibrated.temperature
     assert ensemble.calibration.temperature == ensemble.temperature == temperature != 1.0
@@ -84,7 +82,7 @@ def test_without_calibration_images_the_test_images_are_cross_fitted(members, se
     assert report.recalibrated.lowest < report.recalibrated.highest
     assert "calibration_digest" not in read_json(tmp_path / "report" / "judged.json")
     with pytest.raises(SettingsError, match="other members"):
-        freeze_evaluated(members[:1], tmp_path / "report", sets[0].read(0)[0], tmp_path)
+        freeze_ensemble(members[:1], tmp_path / "report", sets[0].read(0)[0], tmp_path)
 
 
 def test_an_image_in_both_sets_is_named_before_anything_is_written(members, sets, tmp_path):
@@ -93,5 +91,5 @@ def test_an_image_in_both_sets_is_named_before_anything_is_written(members, sets
     shutil.copyfile(sets[0].items[2].image, mixed / "images" / "x_3.png")
     shutil.copyfile(sets[0].items[2].mask, mixed / "masks" / "x_3.png")
     with pytest.raises(DataError, match=r"x_2.png: is a calibration image as well"):
-        evaluate(members, sets, tmp_path / "report", calibration=LabeledImageSet.load(mixed))
+        evaluate(members, sets, tmp_path / "report", calibration_images=LabeledImageSet.load(mixed))
     assert not (tmp_path / "report").exists()

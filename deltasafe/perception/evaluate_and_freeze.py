@@ -1,0 +1,142 @@
+"""Evaluate trained members on labeled images, and freeze them as they were evaluated."""
+
+import dataclasses
+import pathlib
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.compute.progress import Progress, silent
+from deltasafe.errors import DataError, SettingsError
+from deltasafe.io.storage import read_json, write_json
+from deltasafe.perception.artifact.frozen_ensemble import write_frozen_ensemble
+from deltasafe.perception.calibration.evaluation import evaluate
+from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
+from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
+from deltasafe.perception.calibration.write_report import write_calibration_report
+from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
+from deltasafe.perception.inference.ensemble import Ensemble
+from deltasafe.perception.inference.predictions import MemberPredictions
+from deltasafe.perception.settings import InferenceSettings
+from deltasafe.perception.training.member import Member
+from deltasafe.perception.training.train_member import pick_device
+
+__all__ = ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"]
+
+
+@dataclasses.dataclass(frozen=True)
+class EvaluationSettings:
+    """How an ensemble is evaluated.
+
+    Attributes:
+        inference: resolution that the networks see; the ensemble is frozen with it.
+        calibration: intervals, folds, and what is fitted.
+    """
+
+    inference: InferenceSettings = dataclasses.field(default_factory=InferenceSettings)
+    calibration: CalibrationSettings = dataclasses.field(default_factory=CalibrationSettings)
+
+
+def evaluate_ensemble(
+    members: Sequence[Member],
+    test: LabeledImageSet,
+    folder: str | pathlib.Path,
+    settings: EvaluationSettings | None = None,
+    calibration_images: LabeledImageSet | None = None,
+    *,
+    device: str = "auto",
+    progress: Progress = silent,
+) -> CalibrationReport:
+    """Evaluate members and ensembles of growing size on labeled images, and write the calibration report.
+
+    Args:
+        test: labeled images that no training has seen. Each is predicted once with every member.
+        folder: destination of the report. The predictions are stored beside it in ``FOLDER-predictions``.
+        settings: of inference and calibration.
+        calibration_images: further labeled images to fit temperature, delta and threshold on (their predictions are
+            stored in ``FOLDER-calibration-predictions``). Without them the test images are cross-fitted.
+        device: ``cpu``, ``cuda`` or ``auto``.
+
+    Raises:
+        SettingsError: the members were trained with different settings or data.
+        DataError: an image is in both sets.
+    """
+    folder, settings = pathlib.Path(folder), settings or EvaluationSettings()
+    if len({member.ensemble_identity for member in members}) > 1:
+        raise SettingsError("the members were trained with different settings or data; train all of them again")
+    if calibration_images is not None:
+        try:
+            check_disjoint(calibration_images, test)
+        except DataError as error:
+            raise DataError(error.path, "is a calibration image as well; remove it from one of the two sets") from error
+    ensemble = Ensemble([member.network() for member in members], settings.inference, str(pick_device(device)))
+    judged = _predicted(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
+    fitted = None
+    if calibration_images is not None:
+        destination = folder.with_name(f"{folder.name}-calibration-predictions")
+        fitted = _predicted(ensemble, calibration_images, destination, progress)
+    report = evaluate(judged.image_ids, judged.labels, judged.predictions, settings.calibration, progress, fitted)
+    position = {item.id: index for index, item in enumerate(test.items)}
+    write_calibration_report(
+        folder,
+        report,
+        labels=judged.labels,
+        predictions=judged.predictions,
+        load_image=lambda image_id: test.read(position[image_id])[0],
+    )
+    record = {
+        "members": [member.record["weights_sha256"] for member in members],
+        "inference": dataclasses.asdict(settings.inference),
+        "test_digest": test.digest,
+    }
+    if calibration_images is not None:
+        record["calibration_digest"] = calibration_images.digest
+    write_json(folder / "judged.json", record)
+    return report
+
+
+def freeze_ensemble(
+    members: Sequence[Member],
+    report_folder: str | pathlib.Path,
+    golden_rgb: NDArray[np.uint8],
+    parent: str | pathlib.Path,
+) -> pathlib.Path:
+    """Freeze members with the settings and the calibration that they were evaluated with.
+
+    Args:
+        report_folder: folder of `evaluate_ensemble`.
+        golden_rgb: (H, W, 3) uint8; consumers compare the ensemble's answer to it with the stored one.
+        parent: folder that the artifact ``ensemble-DIGEST`` is written into.
+
+    Returns:
+        folder of the artifact.
+
+    Raises:
+        DataError: the folder holds no report.
+        SettingsError: the report is about other members.
+    """
+    report_folder = pathlib.Path(report_folder)
+    judged = read_json(report_folder / "judged.json")
+    if judged["members"] != [member.record["weights_sha256"] for member in members]:
+        raise SettingsError(f"{report_folder} is about other members; evaluate these members, then freeze them")
+    data = {"test_images": judged["test_digest"]}
+    if "calibration_digest" in judged:
+        data["calibration_images"] = judged["calibration_digest"]
+    calibration = CalibrationReport.load(report_folder).calibration
+    inference = InferenceSettings(**judged["inference"])
+    return write_frozen_ensemble(list(members), inference, calibration, golden_rgb, pathlib.Path(parent), data)
+
+
+def _predicted(
+    ensemble: Ensemble, hands: LabeledImageSet, folder: pathlib.Path, progress: Progress
+) -> LabeledPredictions:
+    position = {item.id: index for index, item in enumerate(hands.items)}
+    predictions = MemberPredictions.write(
+        folder,
+        list(position),
+        lambda image_id: ensemble.member_p_occupied(hands.read(position[image_id])[0]),
+        progress,
+    )
+    labels = [hands.read(index)[1].astype(bool) for index in range(len(hands))]
+    return LabeledPredictions(list(position), labels, predictions)

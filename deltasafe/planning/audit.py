@@ -1,0 +1,124 @@
+"""Audit of planned motions by brute force. It shares no code with the segment tests of the planner."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.errors import SettingsError
+from deltasafe.geometry import Trajectory
+from deltasafe.planning.body import ToolBody
+from deltasafe.planning.motion import PlannedMotion
+from deltasafe.scene import OccupancyGrid
+
+__all__ = ["Audit", "audit_path", "audit_trajectory", "body_points", "verify_motion"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Audit:
+    """Result of an audit.
+
+    Attributes:
+        poses: number of audited poses.
+        unsafe_poses: poses at which a point of the tool has p_occupied > delta.
+        worst_p_occupied: largest p_occupied at any point of the tool.
+    """
+
+    poses: int
+    unsafe_poses: int
+    worst_p_occupied: float
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether no audited pose is unsafe."""
+        return self.unsafe_poses == 0
+
+
+def verify_motion(motion: PlannedMotion, grid: OccupancyGrid, spacing_m: float = 0.001) -> Audit:
+    """Audit the trajectory of a planned motion against the delta that it was planned with.
+
+    Args:
+        grid: P(occupied) of the world; the one that the motion was planned in, or another one.
+        spacing_m: largest way of any point of the tool between two audited poses.
+
+    Raises:
+        SettingsError: the motion has no trajectory.
+    """
+    if motion.trajectory is None:
+        raise SettingsError(f"the motion has no trajectory to verify ({motion.reason})")
+    return audit_trajectory(motion.trajectory, grid, motion.body, motion.settings.delta, spacing_m)
+
+
+def audit_trajectory(
+    trajectory: Trajectory, grid: OccupancyGrid, body: ToolBody, delta: float, spacing_m: float = 0.001
+) -> Audit:
+    """Ask the field at points of the whole tool (2 mm apart), at poses at most ``spacing_m`` apart."""
+    points = body_points(body, 0.002)
+    xyz, yaw = trajectory.poses[:, :3], trajectory.poses[:, 3]
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+    way += body.rho_max_m * np.concatenate([[0.0], np.cumsum(np.abs(np.diff(yaw)))])
+    kept = np.unique(np.append(np.searchsorted(way, np.arange(0.0, way[-1], spacing_m)), len(way) - 1))
+    return _looked(grid, points, trajectory.poses[kept], delta)
+
+
+def audit_path(
+    path: NDArray[np.float64],
+    grid: OccupancyGrid,
+    points_m: NDArray[np.float64],
+    delta: float,
+    reach_m: float,
+    spacing_m: float = 0.001,
+) -> Audit:
+    """Ask the field at points (P, 3) of a body, along the straight edges between the waypoints (N, 4): x, y, z, yaw.
+
+    Args:
+        reach_m: distance of the body's farthest point from its axis; poses lie at most ``spacing_m`` of its way apart.
+    """
+    poses = [path[:1]]
+    for start, end in itertools.pairwise(path):
+        way_m = float(np.linalg.norm((end - start)[:3])) + reach_m * abs(end[3] - start[3])
+        shares = np.linspace(0.0, 1.0, 1 + max(1, math.ceil(way_m / spacing_m)))[1:, None]
+        poses.append(start + shares * (end - start))
+    return _looked(grid, points_m, np.concatenate(poses), delta)
+
+
+def _looked(grid: OccupancyGrid, points_m: NDArray[np.float64], poses: NDArray[np.float64], delta: float) -> Audit:
+    cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
+    zero, one = np.zeros(len(poses)), np.ones(len(poses))
+    rotations = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
+    worst = grid.most_on(points_m, rotations, poses[:, :3])
+    return Audit(len(poses), int((worst.astype(np.float64) > delta).sum()), float(worst.max()))
+
+
+def body_points(body: ToolBody, spacing_m: float = 0.0025) -> NDArray[np.float64]:
+    """(P, 3) points of the tool in its frame, surface and inside, at most about ``spacing_m`` apart."""
+    if not (math.isfinite(spacing_m) and spacing_m > 0):
+        raise SettingsError(f"spacing_m must be a positive length in meters, got {spacing_m}")
+    half = body.thickness_m / 2
+    disc = _rings(body.rho_max_m, spacing_m) * [
+        body.semi_axis_x_m / body.rho_max_m,
+        body.semi_axis_y_m / body.rho_max_m,
+    ]
+    shaft = _rings(body.shaft_radius_m, spacing_m)
+    return np.concatenate(
+        [
+            _layers(disc, -half, half, spacing_m),
+            _layers(shaft, half, body.shaft_length_m, spacing_m),
+        ]
+    )
+
+
+def _rings(radius_m: float, spacing_m: float) -> NDArray[np.float64]:
+    rings = []
+    for radius in np.linspace(0, radius_m, math.ceil(radius_m / spacing_m) + 1):
+        count = max(1, math.ceil(2 * math.pi * radius / spacing_m))
+        turn = 2 * np.pi * np.arange(count) / count
+        rings.append(radius * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    return np.concatenate(rings)
+
+
+def _layers(flat: NDArray[np.float64], bottom_m: float, top_m: float, spacing_m: float) -> NDArray[np.float64]:
+    heights = np.linspace(bottom_m, top_m, math.ceil((top_m - bottom_m) / spacing_m) + 1)
+    return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in heights])
