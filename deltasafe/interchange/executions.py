@@ -9,8 +9,9 @@ import numpy as np
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution.recording import PHASES, Execution
 from deltasafe.geometry import Pose
+from deltasafe.interchange.frames import WORLD
 from deltasafe.interchange.log import LogWriter, read_log
-from deltasafe.interchange.scenes import WORLD, quaternion, upright, vector, write_scene_topics
+from deltasafe.interchange.scenes import quaternion, upright, vector, write_scene_topics
 from deltasafe.planning.body import ToolBody
 from deltasafe.scene import LoggedScene
 
