@@ -69,6 +69,38 @@ def test_an_execution_comes_back_bit_by_bit_and_equal_ones_are_equal_bytes(tmp_p
 
 
 @needs_mcap
+@pytest.mark.parametrize(
+    ("topic", "change"),
+    [
+        ("/tool/pose", {"frame_id": "flange"}),
+        ("/tool/pose", {"timestamp": {"sec": 9, "nsec": 0}}),
+        ("/tool/reference", {"pose": {}}),
+        ("/joint_states", {"name": [f"joint_{number}" for number in (2, 1, 3, 4, 5, 6, 7)]}),
+        ("/execution", {"reference_speed_mps": 9.0}),
+        ("/execution", {"workspace_error_m": 0}),
+        ("/execution", {"time_s": "0.03"}),
+        ("/execution", {"time_s": 10**400}),
+        ("/execution", {"contacts": 2**40}),
+        ("/execution", {"contacts": 0.5}),
+        ("/path/executed", {"frame_id": "flange"}),
+    ],
+)
+def test_an_execution_that_was_altered_anywhere_is_refused(tmp_path, execution, topic, change):
+    export_execution(execution, tmp_path / "run.mcap")
+    whole = read_log(tmp_path / "run.mcap")
+    with LogWriter(tmp_path / "other.mcap") as log:
+        for name, messages in whole.messages.items():
+            for n, message in enumerate(messages):
+                changed = change if name == topic and n == len(messages[:4]) - 1 else {}
+                time_ns = message["timestamp"]["sec"] * 1_000_000_000 + message["timestamp"]["nsec"]
+                log.say(name, "foxglove.PoseInFrame", time_ns, message | changed)
+        for name, facts in whole.facts.items():
+            log.note(name, facts)
+    with pytest.raises(DataError, match=r"export (it|the execution) again"):
+        import_execution(tmp_path / "other.mcap")
+
+
+@needs_mcap
 def test_viewers_find_the_schemas_that_they_know(tmp_path, execution):
     from mcap.reader import make_reader
 
