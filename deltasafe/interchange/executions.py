@@ -2,6 +2,7 @@
 
 import dataclasses
 import pathlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,9 @@ import numpy as np
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution.recording import PHASES, Execution
 from deltasafe.geometry import Pose
-from deltasafe.interchange.mcap_log import LogWriter, read_log
-from deltasafe.interchange.scenes import WORLD, quaternion, upright, vector, write_scene_topics
+from deltasafe.interchange.frames import WORLD
+from deltasafe.interchange.mcap_log import NS_PER_S, LogWriter, read_log, stamp
+from deltasafe.interchange.scenes import quaternion, upright, vector, write_scene_topics
 from deltasafe.planning.body import ToolBody
 from deltasafe.scene import LoggedScene
 
@@ -21,6 +23,7 @@ PLANNED, DRIVEN = "/path/reference", "/path/executed"
 FACTS = "deltasafe.execution"
 EVERY = 5
 """Of the recorded poses of a drawn path."""
+CLOSE = 1e-9
 
 
 def export_execution(execution: Execution, destination: str | pathlib.Path, scene: LoggedScene | None = None) -> None:
@@ -33,48 +36,11 @@ def export_execution(execution: Execution, destination: str | pathlib.Path, scen
         DataError: the scene's image is neither JPEG nor PNG.
         SettingsError: the destination does not end in .mcap, or the package mcap is not installed.
     """
-    names = [f"joint_{number}" for number in range(1, execution.joint_positions_rad.shape[1] + 1)]
-    speed, error = execution.reference_speed_mps, execution.workspace_error_m
     with LogWriter(destination) as log:
         if scene is not None:
             write_scene_topics(log, scene)
-        shown = np.flatnonzero(execution.judged)[::EVERY]
-        for topic, poses in (
-            (PLANNED, [upright(Pose(*map(float, execution.reference_poses[n]))) for n in shown]),
-            (DRIVEN, [_measured(execution, n) for n in shown]),
-        ):
-            log.say(topic, "foxglove.PosesInFrame", 0, {"frame_id": WORLD, "poses": poses})
-        for n, time_s in enumerate(execution.time_s):
-            time_ns = round(float(time_s) * 1e9)
-            log.say(TOOL, "foxglove.PoseInFrame", time_ns, {"frame_id": WORLD, "pose": _measured(execution, n)})
-            reference = upright(Pose(*map(float, execution.reference_poses[n])))
-            log.say(REFERENCE, "foxglove.PoseInFrame", time_ns, {"frame_id": WORLD, "pose": reference})
-            log.say(
-                JOINTS,
-                "deltasafe.JointState",
-                time_ns,
-                {
-                    "name": names,
-                    "position_rad": execution.joint_positions_rad[n].tolist(),
-                    "torque_nm": execution.torques_nm[n].tolist(),
-                },
-            )
-            log.say(
-                SAMPLES,
-                "deltasafe.ExecutionSample",
-                time_ns,
-                {
-                    "time_s": float(time_s),
-                    "phase": PHASES[execution.phase[n]],
-                    "reference_pose": execution.reference_poses[n].tolist(),
-                    "reference_velocity": execution.reference_velocities[n].tolist(),
-                    "tool_to_hand_m": _finite(execution.tool_to_hand_m[n]),
-                    "arm_to_hand_m": _finite(execution.arm_to_hand_m[n]),
-                    "contacts": int(execution.contacts[n]),
-                    "reference_speed_mps": float(speed[n]),
-                    "workspace_error_m": float(error[n]),
-                },
-            )
+        for topic, schema, time_ns, message in _messages(execution):
+            log.say(topic, schema, time_ns, message)
         log.note(
             FACTS,
             {
@@ -90,7 +56,8 @@ def import_execution(source: str | pathlib.Path) -> Execution:
     """Read what ``export_execution`` wrote: the same recording, by its digest.
 
     Raises:
-        DataError: the log is damaged, holds no execution, or was altered.
+        DataError: the log is damaged, holds no execution, or was altered: also in what the recording does not
+            need, such as a frame, a time, or the name of a joint.
         SettingsError: the package mcap is not installed.
     """
     log = read_log(source)
@@ -112,11 +79,53 @@ def import_execution(source: str | pathlib.Path) -> Execution:
             seed=facts["seed"],
             stop_reason=facts["stop_reason"],
         )
-    except (KeyError, TypeError, ValueError, SettingsError) as error:
+        expected: dict[str, list[dict[str, Any]]] = {}
+        for topic, _, time_ns, message in _messages(execution):
+            expected.setdefault(topic, []).append({"timestamp": stamp(time_ns), **message})
+    except (KeyError, TypeError, ValueError, OverflowError, SettingsError) as error:
         raise DataError(log.path, f"holds no execution ({error!r}); export it again") from error
     if execution.digest() != facts.get("digest"):
         raise DataError(log.path, "was altered after it was written; export the execution again")
+    for topic, said in expected.items():
+        if not _same(said, log.messages.get(topic, said)):  # what is only drawn may have been left out
+            raise DataError(log.path, f"contradicts itself on {topic}, it was altered; export the execution again")
     return execution
+
+
+def _messages(execution: Execution) -> Iterator[tuple[str, str, int, dict[str, Any]]]:
+    """Topic, schema, time and message of everything that is said about an execution."""
+    names = [f"joint_{number}" for number in range(1, execution.joint_positions_rad.shape[1] + 1)]
+    speed, error = execution.reference_speed_mps, execution.workspace_error_m
+    shown = np.flatnonzero(execution.judged)[::EVERY]
+    for topic, poses in (
+        (PLANNED, [upright(Pose(*map(float, execution.reference_poses[n]))) for n in shown]),
+        (DRIVEN, [_measured(execution, n) for n in shown]),
+    ):
+        yield topic, "foxglove.PosesInFrame", 0, {"frame_id": WORLD, "poses": poses}
+    for n, time_s in enumerate(execution.time_s):
+        time_ns = round(float(time_s) * NS_PER_S)
+        pose = {"frame_id": WORLD, "pose": _measured(execution, n)}
+        yield TOOL, "foxglove.PoseInFrame", time_ns, pose
+        reference = {"frame_id": WORLD, "pose": upright(Pose(*map(float, execution.reference_poses[n])))}
+        yield REFERENCE, "foxglove.PoseInFrame", time_ns, reference
+        joints = {
+            "name": names,
+            "position_rad": execution.joint_positions_rad[n].tolist(),
+            "torque_nm": execution.torques_nm[n].tolist(),
+        }
+        yield JOINTS, "deltasafe.JointState", time_ns, joints
+        sample = {
+            "time_s": float(time_s),
+            "phase": PHASES[execution.phase[n]],
+            "reference_pose": execution.reference_poses[n].tolist(),
+            "reference_velocity": execution.reference_velocities[n].tolist(),
+            "tool_to_hand_m": _finite(execution.tool_to_hand_m[n]),
+            "arm_to_hand_m": _finite(execution.arm_to_hand_m[n]),
+            "contacts": int(execution.contacts[n]),
+            "reference_speed_mps": float(speed[n]),
+            "workspace_error_m": float(error[n]),
+        }
+        yield SAMPLES, "deltasafe.ExecutionSample", time_ns, sample
 
 
 def _measured(execution: Execution, n: int) -> dict[str, Any]:
@@ -124,6 +133,19 @@ def _measured(execution: Execution, n: int) -> dict[str, Any]:
         "position": vector(execution.tool_positions_m[n]),
         "orientation": quaternion(execution.tool_quaternions[n]),
     }
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two JSON values are equal; derived numbers may differ in their last digits between versions of NumPy."""
+    if isinstance(one, dict):
+        return (
+            isinstance(other, dict) and one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+        )
+    if isinstance(one, list):
+        return isinstance(other, list) and len(one) == len(other) and all(map(_same, one, other))
+    if type(one) in (int, float) and type(other) in (int, float):
+        return abs(one - other) <= CLOSE * max(1.0, abs(one))
+    return type(one) is type(other) and bool(one == other)
 
 
 def _finite(value: float) -> float | None:

@@ -6,7 +6,7 @@ import dataclasses
 import importlib.util
 import json
 import pathlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
@@ -15,14 +15,28 @@ from deltasafe.interchange.schemas import SCHEMAS
 from deltasafe.io.arrays import UNREADABLE
 from deltasafe.io.storage import atomic_file, parse_json
 
-__all__ = ["LogContent", "LogWriter", "read_log", "stamp"]
+__all__ = ["NS_PER_S", "LogContent", "LogWriter", "read_log", "stamp", "time_ns_of"]
 
 LIBRARY = "deltasafe"
+NS_PER_S = 1_000_000_000
 
 
 def stamp(time_ns: int) -> dict[str, int]:
     """A time as messages hold it."""
-    return {"sec": time_ns // 1_000_000_000, "nsec": time_ns % 1_000_000_000}
+    return {"sec": time_ns // NS_PER_S, "nsec": time_ns % NS_PER_S}
+
+
+def time_ns_of(path: pathlib.Path, topic: str, message: Mapping[str, Any]) -> int:
+    """The ``timestamp`` of a message, which ``stamp`` wrote.
+
+    Raises:
+        DataError: it is missing, or no time.
+    """
+    time = message.get("timestamp")
+    parts: list[Any] = [time.get("sec"), time.get("nsec")] if isinstance(time, dict) else [None]
+    if not all(type(part) is int and part >= 0 for part in parts) or parts[-1] >= NS_PER_S:
+        raise DataError(path, f"{topic} needs a timestamp of sec and nsec, got {time!r:.80}; record it again")
+    return int(parts[0] * NS_PER_S + parts[1])
 
 
 class LogWriter:
@@ -49,7 +63,9 @@ class LogWriter:
         from mcap.writer import Writer
 
         temporary = self._whole.enter_context(atomic_file(self._destination))
-        self._writer = Writer(self._whole.enter_context(temporary.open("wb")))
+        stream = self._whole.enter_context(temporary.open("wb"))
+        # covers attachments and metadata, which the checksums of chunks do not
+        self._writer = Writer(stream, enable_data_crcs=True)
         self._whole.push(self._finish)
         self._writer.start(profile="", library=LIBRARY)
         return self
@@ -148,32 +164,43 @@ def read_log(path: str | pathlib.Path) -> LogContent:
     """
     _require_mcap()
     from mcap.exceptions import McapError
-    from mcap.reader import make_reader
+    from zstandard import ZstdError
 
     path = pathlib.Path(path)
     if path.exists() and not path.is_file():  # a pipe would be waited for
         raise DataError(path, "is no file; give the log's file")
-    messages: dict[str, list[dict[str, Any]]] = {}
     try:
-        with path.open("rb") as stream:
-            reader = make_reader(stream, validate_crcs=True)
-            for _, channel, message in reader.iter_messages():
-                if channel.message_encoding == "json":
-                    messages.setdefault(channel.topic, []).append(_object(message.data))
-            facts = {
-                record.name: {key: parse_json(value) for key, value in record.metadata.items()}
-                for record in _ours(reader.iter_metadata())
-            }
-            attachments = {record.name: bytes(record.data) for record in reader.iter_attachments()}
+        return _content(path)
     except FileNotFoundError:
         raise DataError(path, "is missing; give the log's file") from None
-    except (*UNREADABLE, McapError, AssertionError, IndexError, OverflowError) as error:
+    except (*UNREADABLE, McapError, ZstdError, AssertionError, IndexError, OverflowError) as error:
         raise DataError(path, f"is not a readable MCAP log ({error!r}); record or export it again") from error
-    return LogContent(path, messages, facts, attachments)
 
 
-def _ours(records: Iterator[Any]) -> Iterator[Any]:
-    return (record for record in records if record.name.startswith(f"{LIBRARY}."))
+def _content(path: pathlib.Path) -> LogContent:
+    """Everything in one pass over the records: the index at the end may be missing, or know a part of them only."""
+    from mcap.records import Attachment, Channel, Message, Metadata
+    from mcap.stream_reader import StreamReader
+
+    channels: dict[int, Any] = {}
+    messages: list[Any] = []
+    facts: dict[str, dict[str, Any]] = {}
+    attachments: dict[str, bytes] = {}
+    with path.open("rb") as stream:
+        # no record is longer than the file: a damaged length must not claim memory
+        for record in StreamReader(stream, validate_crcs=True, record_size_limit=path.stat().st_size).records:
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message) and channels[record.channel_id].message_encoding == "json":
+                messages.append(record)
+            elif isinstance(record, Metadata) and record.name.startswith(f"{LIBRARY}."):
+                facts[record.name] = {key: parse_json(value) for key, value in record.metadata.items()}
+            elif isinstance(record, Attachment):
+                attachments[record.name] = bytes(record.data)
+    by_topic: dict[str, list[dict[str, Any]]] = {}
+    for message in sorted(messages, key=lambda one: one.log_time):  # stable: equal times keep the order of the file
+        by_topic.setdefault(channels[message.channel_id].topic, []).append(_object(message.data))
+    return LogContent(path, by_topic, facts, attachments)
 
 
 def _object(data: bytes) -> dict[str, Any]:

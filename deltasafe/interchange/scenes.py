@@ -1,6 +1,7 @@
 """A logged scene as an MCAP log and back: image, calibration, camera pose, task; truth as attachments."""
 
 import base64
+import math
 import pathlib
 from typing import Any
 
@@ -9,8 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
-from deltasafe.interchange.mcap_log import LogContent, LogWriter, read_log, stamp
+from deltasafe.interchange.frames import WORLD, Frames, frame_of, pose_of, same_pose
+from deltasafe.interchange.mcap_log import LogContent, LogWriter, read_log, stamp, time_ns_of
 from deltasafe.io.storage import atomic_folder, write_json
+from deltasafe.perception.data.labeled_images import read_mask, read_rgb
 from deltasafe.scene import LoggedScene
 
 __all__ = ["export_scene", "import_scene", "write_scene_topics"]
@@ -18,9 +21,11 @@ __all__ = ["export_scene", "import_scene", "write_scene_topics"]
 IMAGE, CALIBRATION, TRANSFORM = "/camera/image", "/camera/calibration", "/tf"
 START, GOAL, HAND = "/task/start", "/task/goal", "/truth/hand"
 FACTS = "deltasafe.scene"
-WORLD, CAMERA = "world", "camera"
+CAMERA = "camera"
 FORMATS = {"jpeg": "image.jpg", "png": "image.png"}
 MASK, MESH = "hand_mask.png", "hand_mesh.npz"
+MOST_TILT_RAD = math.radians(0.1)
+"""Of a start or goal, which the planner takes as upright: 0.07 mm at the rim of a disc of 40 mm."""
 
 
 def export_scene(scene: LoggedScene, destination: str | pathlib.Path) -> None:
@@ -90,8 +95,11 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
 def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> LoggedScene:
     """Turn an MCAP log into a scene folder (see docs/data.md), which appears as a whole, and read it.
 
+    The first image counts. Poses are taken into the frame ``world`` by the transforms at the time of that image.
+
     Raises:
-        DataError: the log is damaged, or lacks a topic, a fact or the truth that scenes are judged by.
+        DataError: the log is damaged; it lacks a topic, a fact or the truth that scenes are judged by; its frames,
+            sizes or rotations contradict each other; or a task pose is not upright.
         SettingsError: the package mcap is not installed.
     """
     log = read_log(source)
@@ -99,20 +107,21 @@ def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> Logg
     data, form = log.image(IMAGE)
     if form not in FORMATS:
         raise DataError(log.path, f"{IMAGE} is {form!r}; only {sorted(FORMATS)} can be read, convert it")
+    frames = Frames(log, TRANSFORM)
     try:
         record = {
             "id": facts["id"],
             "image": FORMATS[form],
-            "camera": _camera(log, facts),
+            "camera": _camera(log, facts, frames),
             "table_z_m": facts["table_z_m"],
             "hand_height_m": facts["hand_height_m"],
-            "start": _task(log, START),
-            "goal": _task(log, GOAL),
+            "start": _task(log, START, frames),
+            "goal": _task(log, GOAL, frames),
             "ground_truth": {"mask": MASK, "mesh": MESH},
         }
     except DataError:
         raise
-    except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise DataError(log.path, f"describes no scene ({error!r}); export it again") from error
     with atomic_folder(folder) as temporary:
         (temporary / FORMATS[form]).write_bytes(data)
@@ -120,9 +129,17 @@ def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> Logg
             (temporary / name).write_bytes(log.attachment(name))
         write_json(temporary / "scene.json", record)
         try:
-            LoggedScene.load(temporary)
+            scene = LoggedScene.load(temporary)
+            image, mask = read_rgb(scene.image_path), read_mask(scene.mask_path)
         except DataError as error:  # the folder that it names is about to go
             raise DataError(log.path, f"holds a scene whose {error.path.name} {error.reason}") from error
+        for topic, pixels in ((IMAGE, image), (MASK, mask)):
+            if pixels.shape[:2] != (scene.camera.height, scene.camera.width):
+                raise DataError(
+                    log.path,
+                    f"{topic} is {pixels.shape[1]} x {pixels.shape[0]} pixels, {CALIBRATION} is for "
+                    f"{scene.camera.width} x {scene.camera.height}; give the calibration of that image",
+                )
     return LoggedScene.load(folder)
 
 
@@ -137,19 +154,34 @@ def quaternion(values: Any) -> dict[str, float]:
 
 
 def upright(pose: Pose) -> dict[str, Any]:
-    """A pose of the tool, its shaft vertical."""
-    turn = Rotation.from_euler("z", pose.yaw_rad).as_quat()
-    return {"position": vector((pose.x_m, pose.y_m, pose.z_m)), "orientation": quaternion(turn)}
+    """A pose of the tool, its shaft vertical; its yaw, if within half a turn, is read back to the last bit."""
+    z, w = math.sin(pose.yaw_rad / 2), math.cos(pose.yaw_rad / 2)
+    # without this, one angle in twelve comes back off by one unit in the last place
+    near = [(z, w)]
+    for toward in (-2.0, 2.0):
+        near += [(math.nextafter(z, toward), w), (z, math.nextafter(w, toward))]
+    z, w = next((pair for pair in near if yaw_about_z(*pair) == pose.yaw_rad), near[0])
+    return {"position": vector((pose.x_m, pose.y_m, pose.z_m)), "orientation": quaternion((0.0, 0.0, z, w))}
 
 
-def _camera(log: LogContent, facts: dict[str, Any]) -> dict[str, Any]:
-    calibration, transform = log.on(CALIBRATION)[0], log.on(TRANSFORM)[0]
+def yaw_about_z(z: float, w: float) -> float:
+    """Turn about the vertical, in [-pi, pi], of a quaternion whose x and y are zero, or next to it."""
+    yaw_rad = 2 * math.atan2(z, w)
+    return yaw_rad - math.copysign(2 * math.pi, yaw_rad) if abs(yaw_rad) > math.pi else yaw_rad
+
+
+def _camera(log: LogContent, facts: dict[str, Any], frames: Frames) -> dict[str, Any]:
+    calibration = _calibration(log)
     if any(value != 0 for value in calibration["D"]):
         raise DataError(log.path, f"{CALIBRATION} has a distortion; rectify the image first")
     intrinsic = calibration["K"]
-    turned = Rotation.from_quat([transform["rotation"][axis] for axis in "xyzw"]).as_matrix()
-    exact = np.array(facts.get("camera_rotation", turned.tolist()))
-    if exact.shape != (3, 3) or np.abs(exact - turned).max() > 1e-6:
+    frame = frame_of(log, IMAGE, log.on(IMAGE)[0])
+    if frame == WORLD:
+        raise DataError(log.path, f"{IMAGE} is in the frame {WORLD!r}; give the camera a frame of its own")
+    pose = frames.pose_in_world(frame, _image_time_ns(log))
+    turned = pose.rotation.as_matrix()
+    exact = np.array(facts.get("camera_rotation", turned.tolist()), np.float64)
+    if exact.shape != (3, 3) or not np.abs(exact - turned).max() <= 1e-6:
         raise DataError(
             log.path, f"{TRANSFORM} and the metadata disagree about where the camera looks; export it again"
         )
@@ -160,18 +192,63 @@ def _camera(log: LogContent, facts: dict[str, Any]) -> dict[str, Any]:
         "fy": intrinsic[4],
         "cx": intrinsic[2],
         "cy": intrinsic[5],
-        "position_m": [transform["translation"][axis] for axis in "xyz"],
+        "position_m": pose.position_m.tolist(),
         "world_from_camera_rotation": exact.tolist(),
     }
 
 
-def _task(log: LogContent, topic: str) -> dict[str, Any]:
-    pose = log.on(topic)[0]["pose"]
-    turn = Rotation.from_quat([pose["orientation"][axis] for axis in "xyzw"])
-    return {
-        "position_m": [pose["position"][axis] for axis in "xyz"],
-        "yaw_rad": float(turn.as_euler("zyx")[0]),
-    }
+def _image_time_ns(log: LogContent) -> int:
+    return time_ns_of(log.path, IMAGE, log.on(IMAGE)[0])
+
+
+def _calibration(log: LogContent) -> dict[str, Any]:
+    """The calibration of the image's frame: the only one, or else the newest that is not later than the image."""
+    frame, messages = frame_of(log, IMAGE, log.on(IMAGE)[0]), log.on(CALIBRATION)
+    found = [one for one in messages if frame_of(log, CALIBRATION, one) == frame]
+    if not found:
+        names = sorted({frame_of(log, CALIBRATION, one) for one in messages})
+        raise DataError(
+            log.path,
+            f"{CALIBRATION} is of the frame {', '.join(map(repr, names))}, {IMAGE} of {frame!r}; "
+            "give the calibration of that camera",
+        )
+    if _agree(found):
+        return found[0]
+    earlier = [one for one in found if time_ns_of(log.path, CALIBRATION, one) <= _image_time_ns(log)]
+    if not earlier:
+        raise DataError(log.path, f"{CALIBRATION} varies, and all are later than {IMAGE}; give the one of that image")
+    return max(earlier, key=lambda one: time_ns_of(log.path, CALIBRATION, one))
+
+
+def _task(log: LogContent, topic: str, frames: Frames) -> dict[str, Any]:
+    """A task pose in the world frame, upright."""
+    messages = log.on(topic)
+    if not _agree(messages):
+        raise DataError(log.path, f"{topic} holds {len(messages)} poses that differ; keep the one of the task")
+    message, image_ns = messages[0], _image_time_ns(log)
+    given = pose_of(log, topic, message["pose"]["position"], message["pose"]["orientation"])
+    frame, own_ns = frame_of(log, topic, message), time_ns_of(log.path, topic, message)
+    around = frames.pose_in_world(frame, image_ns)
+    if frames.knows(frame, own_ns) and not same_pose(around, frames.pose_in_world(frame, own_ns)):
+        raise DataError(
+            log.path,
+            f"{topic} is given in the frame {frame!r}, which moved between {IMAGE} and that pose; "
+            f"give the pose in the frame {WORLD!r}",
+        )
+    pose = given.within(around)
+    tilt_rad = math.acos(min(max(float(pose.rotation.as_matrix()[2, 2]), -1.0), 1.0))
+    if tilt_rad > MOST_TILT_RAD:
+        raise DataError(
+            log.path,
+            f"{topic} is tilted by {math.degrees(tilt_rad):.4g} degrees in the frame {WORLD!r}; give a pose that is "
+            f"upright (z up) within {math.degrees(MOST_TILT_RAD):g} degrees, the tool only turns about the vertical",
+        )
+    return {"position_m": pose.position_m.tolist(), "yaw_rad": yaw_about_z(*map(float, pose.quaternion[2:]))}
+
+
+def _agree(messages: list[dict[str, Any]]) -> bool:
+    """Whether messages say the same at different times."""
+    return all({**one, "timestamp": None} == {**messages[0], "timestamp": None} for one in messages)
 
 
 def _hand(scene: LoggedScene) -> dict[str, Any]:

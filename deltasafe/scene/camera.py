@@ -1,7 +1,6 @@
 """The pinhole camera that looks at the table: world points to pixels, and back at a known height."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +12,9 @@ from deltasafe.errors import SettingsError
 __all__ = ["Camera"]
 
 Array = NDArray[np.float64]
+
+LARGEST = 1e6
+"""Pixels or meters: what is larger, or a focal length smaller than its inverse, is given in other units."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +29,8 @@ class Camera:
         world_from_camera_rotation: (3, 3); columns are the camera's x (right), y (down), z (forward) in world axes.
 
     Raises:
-        SettingsError: a size or focal length is not positive, or the matrix is not a rotation.
+        SettingsError: a size or focal length is not positive, a number is beyond 1e6 (a focal length also below
+            1e-6), or the matrix is not a rotation.
     """
 
     width: int
@@ -41,12 +44,12 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            if not (type(getattr(self, name)) is int and getattr(self, name) > 0):
+            if not (type(getattr(self, name)) is int and 0 < getattr(self, name) <= LARGEST):
                 raise SettingsError(f"{name} must be a positive number of pixels, got {getattr(self, name)!r}")
         for name in ("fx", "fy", "cx", "cy"):
-            if not math.isfinite(getattr(self, name)):
-                raise SettingsError(f"{name} must be finite, got {getattr(self, name)!r}")
-        if self.fx <= 0 or self.fy <= 0:
+            if not abs(getattr(self, name)) <= LARGEST:
+                raise SettingsError(f"{name} must be finite, up to {LARGEST:g}, got {getattr(self, name)!r:.80}")
+        if min(self.fx, self.fy) < 1 / LARGEST:
             raise SettingsError(f"focal lengths must be positive, got fx {self.fx}, fy {self.fy}")
         for name, shape in (("position_m", (3,)), ("world_from_camera_rotation", (3, 3))):
             value = np.array(getattr(self, name), dtype=np.float64)
@@ -69,15 +72,15 @@ class Camera:
         if not isinstance(value, Mapping) or set(value) != set(fields):
             found = sorted(value) if isinstance(value, Mapping) else type(value).__name__
             raise SettingsError(f"camera needs exactly the fields {fields}, got {found}")
+        names = ("fx", "fy", "cx", "cy", "position_m", "world_from_camera_rotation")
+        for name in names:
+            if not _holds_numbers(value[name]):
+                raise SettingsError(f"camera must hold numbers, in pixels and meters, got {name} {value[name]!r:.80}")
         try:
-            if any(isinstance(value[name], bool) for name in ("fx", "fy", "cx", "cy")):
-                raise TypeError("true or false")
-            numbers: dict[str, Any] = {name: float(value[name]) for name in ("fx", "fy", "cx", "cy")}
-            arrays: dict[str, Any] = {
-                name: np.asarray(value[name], dtype=np.float64) for name in ("position_m", "world_from_camera_rotation")
-            }
+            numbers: dict[str, Any] = {name: float(value[name]) for name in names[:4]}
+            arrays: dict[str, Any] = {name: np.asarray(value[name], dtype=np.float64) for name in names[4:]}
         except (TypeError, ValueError) as error:
-            raise SettingsError(f"camera must hold numbers, in pixels and meters ({error})") from error
+            raise SettingsError(f"camera must hold numbers and arrays of numbers ({error})") from error
         return cls(width=value["width"], height=value["height"], **numbers, **arrays)
 
     def project(self, points_m: Array) -> tuple[Array, Array]:
@@ -108,3 +111,10 @@ class Camera:
                 f"the camera's rays do not all meet the plane z = {z_m} m; the whole image must show the table"
             )
         return np.asarray(self.position_m + rays * reach[:, None])
+
+
+def _holds_numbers(value: Any, depth: int = 2) -> bool:
+    """Whether JSON holds nothing but numbers up to ``LARGEST``; NumPy would also convert text, true and false."""
+    if isinstance(value, list | tuple | np.ndarray):
+        return depth > 0 and all(_holds_numbers(one, depth - 1) for one in value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST

@@ -20,6 +20,8 @@ __all__ = ["LoggedScene", "load_scenes"]
 LONGEST_NAME = 100
 FARTHEST_M = 10.0
 """Of anything in a scene: what lies farther is given in other units than meters."""
+LARGEST = 1e6
+"""Of any number: integers of JSON may be too large for a float."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +60,7 @@ class LoggedScene:
         path = folder / "scene.json"
         record = read_json(path)
         truth = _member(path, record, "ground_truth")
+        _only(path, "ground_truth", truth, {"mask", "mesh"})
         try:
             camera = Camera.from_json(_member(path, record, "camera"))
         except SettingsError as error:
@@ -160,18 +163,30 @@ def _is_name(value: str) -> bool:
 
 def _number(path: pathlib.Path, record: Any, name: str) -> float:
     value = _member(path, record, name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise DataError(path, f"field {name} must be a finite number, got {value!r}")
+    return _finite(path, name, value)
+
+
+def _finite(path: pathlib.Path, name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+        raise DataError(path, f"field {name} must be a finite number, got {value!r:.80}")
     return float(value)
+
+
+def _only(path: pathlib.Path, name: str, value: Any, fields: set[str]) -> None:
+    """Refuse a field that would be ignored, such as a frame or a tilt."""
+    unknown = sorted(set(value) - fields) if isinstance(value, Mapping) else []
+    if unknown:
+        raise DataError(path, f"field {name} may hold {sorted(fields)}, in the world frame, got {unknown}; remove them")
 
 
 def _pose(path: pathlib.Path, record: Any, name: str, table_z_m: float) -> Pose:
     value = _member(path, record, name)
     position = _member(path, value, "position_m")
+    _only(path, name, value, {"position_m", "yaw_rad"})
     if not isinstance(position, list) or len(position) != 3:
         raise DataError(path, f"field {name}.position_m must hold x, y, z, got {position!r}")
     try:
-        x_m, y_m, z_m = (float(coordinate) for coordinate in position)
+        x_m, y_m, z_m = (_finite(path, f"{name}.position_m", coordinate) for coordinate in position)
         pose = Pose(x_m, y_m, z_m, _number(path, value, "yaw_rad"))
     except DataError:
         raise

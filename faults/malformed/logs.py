@@ -73,7 +73,7 @@ def _said(change: Telling) -> Change:
         path.unlink()
         with LogWriter(path) as log:
             for topic, message in messages.items():
-                log.say(topic, SCHEMA[topic], 0, {key: message[key] for key in message if key != "timestamp"})
+                log.say(topic, SCHEMA[topic], 0, message)
             for name, fact in facts.items():
                 log.note(name, fact)
             for name, data in attachments.items():
@@ -101,6 +101,10 @@ def _fact(name: str, value: Any) -> Telling:
 
 def _message(topic: str, key: str, value: Any) -> Telling:
     return lambda said, facts, files: said[topic].update({key: value})
+
+
+def _turned(turn: dict[str, float]) -> Telling:
+    return lambda said, facts, files: said[GOAL]["pose"].update(orientation=turn)
 
 
 def _contents() -> dict[str, Telling]:
@@ -147,6 +151,20 @@ def _contents() -> dict[str, Telling]:
         (TRANSFORM, "translation", {"x": 0.0, "y": 0.0, "z": -1.0}),
         (TRANSFORM, "translation", {"x": 0.0, "y": 0.0, "z": "high"}),
         (TRANSFORM, "translation", None),
+        (TRANSFORM, "rotation", {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.1}),
+        (TRANSFORM, "translation", {"x": 0.0, "y": 0.0, "z": 10**400}),
+        (TRANSFORM, "parent_frame_id", "robot_base"),
+        (TRANSFORM, "child_frame_id", "robot_base"),
+        (TRANSFORM, "child_frame_id", None),
+        (TRANSFORM, "timestamp", {"sec": 1, "nsec": 0}),
+        (TRANSFORM, "timestamp", {"sec": "now"}),
+        (IMAGE, "frame_id", "camera_right"),
+        (IMAGE, "frame_id", "world"),
+        (CALIBRATION, "frame_id", "camera_right"),
+        (CALIBRATION, "width", 641),
+        (START, "frame_id", "camera"),
+        (START, "frame_id", "robot_base"),
+        (GOAL, "frame_id", None),
         (START, "pose", None),
         (START, "pose", {"position": {"x": 0.0}}),
         (GOAL, "pose", "there"),
@@ -155,6 +173,13 @@ def _contents() -> dict[str, Telling]:
     for topic, key, value in wrong:
         spoils[f"{topic}.{key} is {value!r:.50}"] = _message(topic, key, value)
     spoils["start in millimetres"] = lambda said, facts, files: said[START]["pose"]["position"].update(x=-150.0)
+    for name, turn in {
+        "tilted": {"x": 0.38268343, "y": 0.0, "z": 0.0, "w": 0.92387953},
+        "upside down": {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0},
+        "not of unit length": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.5},
+        "zero": dict.fromkeys("xyzw", 0.0),
+    }.items():
+        spoils[f"goal whose rotation is {name}"] = _turned(turn)
     spoils["image that is no base64 at its end"] = lambda said, facts, files: said[IMAGE].update(
         data=base64.b64encode(b"jpeg").decode() + "?"
     )

@@ -54,8 +54,7 @@ def test_a_scene_comes_back_as_it_was(tmp_path):
         assert getattr(back.camera, name) == getattr(SCENE.camera, name)
     np.testing.assert_array_equal(back.camera.position_m, SCENE.camera.position_m)
     np.testing.assert_array_equal(back.camera.world_from_camera_rotation, SCENE.camera.world_from_camera_rotation)
-    np.testing.assert_allclose(back.start.as_array(), SCENE.start.as_array(), atol=1e-15)
-    np.testing.assert_allclose(back.goal.as_array(), SCENE.goal.as_array(), atol=1e-15)
+    assert (back.start, back.goal) == (SCENE.start, SCENE.goal)
 
 
 @needs_mcap
@@ -67,6 +66,38 @@ def test_an_execution_comes_back_bit_by_bit_and_equal_ones_are_equal_bytes(tmp_p
     assert back.digest() == execution.digest()
     assert back.stop_reason == "pushed"
     assert np.isinf(back.arm_to_hand_m[:5]).all()
+
+
+@needs_mcap
+@pytest.mark.parametrize(
+    ("topic", "change"),
+    [
+        ("/tool/pose", {"frame_id": "flange"}),
+        ("/tool/pose", {"timestamp": {"sec": 9, "nsec": 0}}),
+        ("/tool/reference", {"pose": {}}),
+        ("/joint_states", {"name": [f"joint_{number}" for number in (2, 1, 3, 4, 5, 6, 7)]}),
+        ("/execution", {"reference_speed_mps": 9.0}),
+        ("/execution", {"workspace_error_m": 0}),
+        ("/execution", {"time_s": "0.03"}),
+        ("/execution", {"time_s": 10**400}),
+        ("/execution", {"contacts": 2**40}),
+        ("/execution", {"contacts": 0.5}),
+        ("/path/executed", {"frame_id": "flange"}),
+    ],
+)
+def test_an_execution_that_was_altered_anywhere_is_refused(tmp_path, execution, topic, change):
+    export_execution(execution, tmp_path / "run.mcap")
+    whole = read_log(tmp_path / "run.mcap")
+    with LogWriter(tmp_path / "other.mcap") as log:
+        for name, messages in whole.messages.items():
+            for n, message in enumerate(messages):
+                changed = change if name == topic and n == len(messages[:4]) - 1 else {}
+                time_ns = message["timestamp"]["sec"] * 1_000_000_000 + message["timestamp"]["nsec"]
+                log.say(name, "foxglove.PoseInFrame", time_ns, message | changed)
+        for name, facts in whole.facts.items():
+            log.note(name, facts)
+    with pytest.raises(DataError, match=r"export (it|the execution) again"):
+        import_execution(tmp_path / "other.mcap")
 
 
 @needs_mcap
@@ -123,6 +154,68 @@ def test_bad_files_are_named(tmp_path, execution):
     with pytest.raises(SettingsError, match=r"\.mcap"):
         export_scene(SCENE, tmp_path / "scene.bag")
     assert not (tmp_path / "scene").exists()
+
+
+@needs_mcap
+def test_a_flipped_bit_is_told_or_does_not_matter(tmp_path, execution):
+    export_execution(execution, tmp_path / "run.mcap")
+    whole, rng, refused = (tmp_path / "run.mcap").read_bytes(), np.random.default_rng(0), 0
+    for place in rng.integers(0, len(whole), 300):
+        bent = bytearray(whole)
+        bent[place] ^= 1 << rng.integers(8)
+        (tmp_path / "bent.mcap").write_bytes(bent)
+        try:
+            assert import_execution(tmp_path / "bent.mcap").digest() == execution.digest()  # in the index
+        except DataError:
+            refused += 1
+    assert refused > 200
+
+
+@needs_mcap
+def test_flipped_bits_in_attachments_and_metadata_are_told(tmp_path):
+    export_scene(SCENE, tmp_path / "scene.mcap")
+    whole = (tmp_path / "scene.mcap").read_bytes()
+    for part in (SCENE.mask_path.read_bytes(), SCENE.mesh_path.read_bytes(), b"hand_height_m"):
+        place = whole.index(part) + len(part) // 2
+        (tmp_path / "bent.mcap").write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(DataError, match="not a readable MCAP"):
+            import_scene(tmp_path / "bent.mcap", tmp_path / "scene")
+
+
+@needs_mcap
+@pytest.mark.parametrize("use_chunking", [True, False])
+@pytest.mark.parametrize("options", ["no index", "no summary"])
+def test_a_log_without_an_index_is_read(tmp_path, options, use_chunking):
+    from mcap.reader import make_reader
+    from mcap.writer import IndexType, Writer
+
+    export_scene(SCENE, tmp_path / "scene.mcap")
+    less = {"use_statistics": False, "repeat_channels": False, "repeat_schemas": False, "use_summary_offsets": False}
+    given = less if options == "no summary" else {}
+    with (tmp_path / "scene.mcap").open("rb") as source, (tmp_path / "bare.mcap").open("wb") as target:
+        reader = make_reader(source)
+        writer = Writer(target, index_types=IndexType.NONE, use_chunking=use_chunking, **given)
+        writer.start()
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        channels = {}
+        for schema, channel, message in reader.iter_messages():
+            if channel.topic not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "json", number)
+            writer.add_message(channels[channel.topic], message.log_time, message.data, message.publish_time)
+        for record in reader.iter_attachments():
+            writer.add_attachment(0, 0, record.name, record.media_type, record.data)
+        writer.finish()
+    assert import_scene(tmp_path / "bare.mcap", tmp_path / "scene").goal == SCENE.goal
+
+
+@needs_mcap
+def test_messages_are_in_the_order_of_time(tmp_path):
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for time_ns in (5, 2, 9, 2):
+            log.say("/task/goal", "foxglove.PoseInFrame", time_ns, {"frame_id": "world"})
+    assert [one["timestamp"]["nsec"] for one in read_log(tmp_path / "log.mcap").on("/task/goal")] == [2, 2, 5, 9]
 
 
 @needs_mcap

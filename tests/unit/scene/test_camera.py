@@ -45,6 +45,17 @@ def test_points_behind_the_camera_have_no_pixel() -> None:
         ({"fx": -1.0}, "focal"),
         ({"width": 0}, "width"),
         ({"cx": "a"}, "must hold numbers"),
+        ({"fx": "768.75"}, "must hold numbers"),
+        ({"fy": 10**400}, "must hold numbers"),
+        ({"fx": 1e-308}, "focal"),
+        ({"cx": True}, "must hold numbers"),
+        ({"width": 10**400}, "width"),
+        ({"position_m": ["0", "0", "0.5"]}, "must hold numbers"),
+        ({"position_m": [0, 0, 10**400]}, "must hold numbers"),
+        ({"position_m": [[0], 0, 0.5]}, "must hold numbers and arrays"),
+        ({"fx": []}, "must hold numbers and arrays"),
+        ({"position_m": json.loads("[" * 900 + "]" * 900)}, "must hold numbers"),
+        ({"world_from_camera_rotation": [[True, 0, 0], [0, -1, 0], [0, 0, -1]]}, "must hold numbers"),
         ({"position_m": [0, 0]}, "position_m"),
         ({"world_from_camera_rotation": np.eye(3).tolist()[::-1]}, "rotation"),
         ({"extra": 1}, "extra"),
@@ -52,7 +63,7 @@ def test_points_behind_the_camera_have_no_pixel() -> None:
 )
 def test_defects_are_named(changes: dict, words: str) -> None:
     with pytest.raises(SettingsError, match=words):
-        Camera.from_json(json.loads(json.dumps(record(**changes))))
+        Camera.from_json(record(**changes))
 
 
 def test_rays_above_the_horizon_meet_no_table() -> None:

@@ -1,0 +1,314 @@
+"""Imported scenes: frames, stamps, rotations and sizes decide what a log's poses mean."""
+
+import base64
+import copy
+import math
+import pathlib
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("mcap")
+
+from deltasafe.errors import DataError
+from deltasafe.geometry import Pose
+from deltasafe.interchange import export_scene, import_scene
+from deltasafe.interchange.frames import SAME_M
+from deltasafe.interchange.mcap_log import LogWriter, read_log
+from deltasafe.interchange.scenes import MOST_TILT_RAD, quaternion, upright, vector, yaw_about_z
+from deltasafe.scene import LoggedScene
+
+SCENE = LoggedScene.load(pathlib.Path(__file__).parents[3] / "datasets" / "scenes" / "scene_003")
+SECOND = 1_000_000_000
+SCHEMA = {
+    "/camera/image": "foxglove.CompressedImage",
+    "/camera/calibration": "foxglove.CameraCalibration",
+    "/tf": "foxglove.FrameTransform",
+    "/task/start": "foxglove.PoseInFrame",
+    "/task/goal": "foxglove.PoseInFrame",
+}
+
+
+class Log:
+    """An exported scene whose messages a test edits, each a time in seconds and the message."""
+
+    def __init__(self, path):
+        export_scene(SCENE, path)
+        whole = read_log(path)
+        self.path, self.facts, self.attachments = path, whole.facts, whole.attachments
+        self.said = {topic: [(0.0, copy.deepcopy(whole.on(topic)[0]))] for topic in SCHEMA}
+        for messages in self.said.values():
+            messages[0][1].pop("timestamp")
+
+    def message(self, topic):
+        return self.said[topic][0][1]
+
+    def at(self, topic, time_s):
+        self.said[topic] = [(time_s, message) for _, message in self.said[topic]]
+
+    def load(self):
+        self.path.unlink()
+        with LogWriter(self.path) as log:
+            for topic, messages in self.said.items():
+                for time_s, message in messages:
+                    log.say(topic, SCHEMA[topic], round(time_s * SECOND), message)
+            for name, facts in self.facts.items():
+                log.note(name, facts)
+            for name, data in self.attachments.items():
+                log.attach(name, "application/octet-stream", data)
+        folder = self.path.parent / "scene"
+        try:
+            return import_scene(self.path, folder)
+        except DataError:
+            assert not folder.exists()
+            raise
+
+
+@pytest.fixture
+def log(tmp_path):
+    return Log(tmp_path / "scene.mcap")
+
+
+def transform(parent, child, position_m=(0.0, 0.0, 0.0), rotation=None):
+    rotation = Rotation.identity() if rotation is None else rotation
+    return {
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": vector(position_m),
+        "rotation": quaternion(rotation.as_quat()),
+    }
+
+
+def turned(degrees, axis="z"):
+    return Rotation.from_euler(axis, degrees, degrees=True)
+
+
+CAMERA_POSE = (SCENE.camera.position_m, Rotation.from_matrix(SCENE.camera.world_from_camera_rotation))
+
+
+def assert_camera_as_logged(scene, atol=1e-12):
+    np.testing.assert_allclose(scene.camera.position_m, SCENE.camera.position_m, rtol=0, atol=atol)
+    np.testing.assert_array_equal(
+        scene.camera.world_from_camera_rotation, SCENE.camera.world_from_camera_rotation
+    )  # by the metadata, as soon as the transforms agree
+
+
+def test_transforms_of_other_frames_are_not_the_camera(log):
+    base = transform("world", "robot_base", (0.5, 0.1, 0.7))
+    log.said["/tf"] = [(0, base), *log.said["/tf"], (0, transform("robot_base", "tool", (0, 0, 1)))]
+    assert_camera_as_logged(log.load(), atol=0)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_the_newest_transform_not_later_than_the_image_counts(log, order):
+    stamped = [
+        (1.0, transform("world", "camera", (0.2, 0.0, 0.6), CAMERA_POSE[1])),
+        (2.0, log.message("/tf")),
+        (3.0, transform("world", "camera", (0.0, 0.2, 0.7), CAMERA_POSE[1])),
+    ]
+    # a recorder may write transforms late: the stamp decides, not the place in the log
+    log.said["/tf"] = [(2.0, {"timestamp": _stamp(stamped[n][0]), **stamped[n][1]}) for n in order]
+    log.at("/camera/image", 2.5)
+    assert_camera_as_logged(log.load(), atol=0)
+
+
+def _stamp(time_s):
+    return {"sec": int(time_s), "nsec": 0}
+
+
+def test_transforms_later_than_the_image_are_refused(log):
+    log.at("/tf", 1.5)
+    log.at("/camera/image", 1.0)
+    with pytest.raises(DataError, match=r"/tf connects 'world' with 'camera' only later than 1 s"):
+        log.load()
+
+
+def test_a_chain_of_transforms_is_composed_in_both_directions(log):
+    base, flange = ((0.4, -0.3, 0.1), turned(70)), ((0.1, 0.2, 0.5), turned(35, "x"))
+    in_flange = flange[1].inv().apply(base[1].inv().apply(CAMERA_POSE[0] - base[0]) - flange[0])
+    rotation = (base[1] * flange[1]).inv() * CAMERA_POSE[1]
+    log.said["/tf"] = [
+        (0, transform("flange", "eye", in_flange, rotation)),
+        (0, transform("base", "flange", *flange)),
+        (0, transform("base", "world", -base[1].inv().apply(base[0]), base[1].inv())),
+    ]
+    for topic in ("/camera/image", "/camera/calibration"):
+        log.message(topic)["frame_id"] = "eye"
+    assert_camera_as_logged(log.load())
+
+
+def test_a_camera_that_nothing_connects_with_the_world_is_refused(log):
+    log.said["/tf"] = [(0, transform("world", "robot_base")), (0, transform("stand", "camera"))]
+    with pytest.raises(DataError, match=r"does not connect 'world' with 'camera'.* stand -> camera"):
+        log.load()
+
+
+@pytest.mark.parametrize("other", ["world", "robot_base"])
+def test_two_chains_that_disagree_are_refused(log, other):
+    log.said["/tf"] += [
+        (0, transform("world", "robot_base", (0.1, 0, 0))),
+        (0, transform(other, "camera", (0.0, 0.0, 0.5 + 2 * SAME_M), CAMERA_POSE[1])),
+    ]
+    with pytest.raises(DataError, match="'camera' two poses in 'world'"):
+        log.load()
+
+
+def test_two_chains_that_agree_and_contradictions_elsewhere_are_accepted(log):
+    log.said["/tf"] += [
+        (0, transform("world", "robot_base", (0.1, 0, 0))),
+        (0, transform("robot_base", "camera", CAMERA_POSE[0] - (0.1, 0, 0), CAMERA_POSE[1])),
+        (0, transform("robot_base", "carried", (0.3, 0, 0))),
+        (0, transform("world", "carried", (0.9, 0, 0))),
+    ]
+    assert_camera_as_logged(log.load(), atol=0)
+
+
+def test_task_poses_in_other_frames_are_taken_into_the_world(log):
+    base, position_m = ((0.5, -0.2, 0.01), turned(90)), np.array((SCENE.goal.x_m, SCENE.goal.y_m, SCENE.goal.z_m))
+    log.said["/tf"].append((0, transform("world", "robot_base", *base)))
+    local = Pose(*base[1].inv().apply(position_m - base[0]), SCENE.goal.yaw_rad + math.pi)
+    log.said["/task/goal"] = [(0, {"frame_id": "robot_base", "pose": upright(local)})]
+    scene = log.load()
+    np.testing.assert_allclose(scene.goal.as_array()[:3], position_m, atol=1e-12)
+    assert math.remainder(scene.goal.yaw_rad - SCENE.goal.yaw_rad + math.pi / 2, 2 * math.pi) == pytest.approx(0)
+
+
+@pytest.mark.parametrize("frame", ["robot_base", "", None, 5])
+def test_task_poses_in_unknown_frames_are_refused(log, frame):
+    log.message("/task/start")["frame_id"] = frame
+    with pytest.raises(DataError, match="robot_base" if frame == "robot_base" else "/task/start needs the name"):
+        log.load()
+
+
+def test_a_pose_in_the_camera_frame_is_not_read_as_world(log):
+    log.message("/task/goal")["frame_id"] = "camera"  # which looks down
+    with pytest.raises(DataError, match=r"/task/goal is tilted by 180 degrees"):
+        log.load()
+
+
+def test_a_pose_in_a_frame_that_moved_since_is_refused(log):
+    log.said["/tf"] += [(0, transform("world", "cart")), (2, transform("world", "cart", (0.05, 0, 0)))]
+    log.at("/camera/image", 1.0)
+    log.at("/task/goal", 3.0)
+    log.message("/task/goal")["frame_id"] = "cart"
+    with pytest.raises(DataError, match="'cart', which moved"):
+        log.load()
+
+
+@pytest.mark.parametrize("topic", ["/task/start", "/task/goal"])
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("degrees", [0.2, 45, 180])
+def test_tilted_task_poses_are_refused_with_topic_and_tilt(log, topic, axis, degrees):
+    log.message(topic)["pose"]["orientation"] = quaternion((turned(30) * turned(degrees, axis)).as_quat())
+    with pytest.raises(DataError, match=f"{topic} is tilted by {degrees:g} degrees"):
+        log.load()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_tilt_within_the_tolerance_keeps_the_yaw(log, sign):
+    tilt = Rotation.from_rotvec((0.9 * MOST_TILT_RAD, 0, 0))
+    log.message("/task/goal")["pose"]["orientation"] = quaternion(sign * (turned(200) * tilt).as_quat())
+    assert log.load().goal.yaw_rad == pytest.approx(math.radians(-160), abs=1e-5)
+
+
+def test_exported_yaw_is_read_back_exactly(log):
+    for yaw_rad in [*np.random.default_rng(0).uniform(-math.pi, math.pi, 2000).tolist(), math.pi, -math.pi, 1e-300]:
+        turn = upright(Pose(0, 0, 0, yaw_rad))["orientation"]
+        assert math.hypot(turn["z"], turn["w"]) == pytest.approx(1, abs=1e-15)
+        assert yaw_about_z(turn["z"], turn["w"]) == yaw_rad
+    log.message("/task/goal")["pose"]["orientation"] = upright(Pose(0, 0, 0, 2.1))["orientation"]
+    assert log.load().goal.yaw_rad == 2.1
+
+
+def test_task_poses_that_differ_are_refused_and_repeated_ones_accepted(log):
+    log.said["/task/goal"].append((1.0, copy.deepcopy(log.message("/task/goal"))))
+    assert log.load().goal == SCENE.goal
+    log.said["/task/goal"][1][1]["pose"]["position"]["x"] += 0.01
+    (log.path.parent / "scene").rename(log.path.parent / "first")
+    with pytest.raises(DataError, match="/task/goal holds 2 poses that differ"):
+        log.load()
+
+
+BAD_QUATERNIONS = [(0, 0, 0, 0), (0, 0, 0, 2), (0, 0, 0, 0.99), (0, 0, True, 1), (0, 0, "0", 1), (0, 0, None, 1)]
+
+
+@pytest.mark.parametrize("values", [*BAD_QUATERNIONS, (0, 0, 10**400, 1)])
+def test_bad_quaternions_are_refused(log, values):
+    bad = dict(zip("xyzw", values, strict=True))
+    log.message("/task/goal")["pose"]["orientation"] = bad
+    with pytest.raises(DataError, match=r"/task/goal (has the quaternion|needs finite numbers)"):
+        log.load()
+    Log.__init__(log, log.path)
+    log.message("/tf")["rotation"] = bad
+    with pytest.raises(DataError, match=r"/tf \(world -> camera\) (has the quaternion|needs finite numbers)"):
+        log.load()
+
+
+@pytest.mark.parametrize("value", [1e308, -(10**400), 10**7, None, "0.1", True])
+def test_bad_coordinates_are_refused(log, value):
+    log.message("/tf")["translation"]["x"] = value
+    with pytest.raises(DataError, match=r"/tf \(world -> camera\) needs finite numbers x, y, z up to"):
+        log.load()
+
+
+def test_a_rounded_quaternion_is_accepted(log):
+    turn = quaternion(np.round(turned(33).as_quat(), 4))
+    log.message("/task/goal")["pose"]["orientation"] = turn
+    assert log.load().goal.yaw_rad == pytest.approx(math.radians(33), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "stamp", [None, {}, {"sec": -1, "nsec": 0}, {"sec": 0, "nsec": SECOND}, {"sec": 0.5, "nsec": 0}]
+)
+@pytest.mark.parametrize("topic", ["/tf", "/camera/image", "/task/start"])
+def test_messages_without_a_time_are_refused(log, topic, stamp):
+    log.message(topic)["timestamp"] = stamp
+    with pytest.raises(DataError, match=f"{topic} needs a timestamp"):
+        log.load()
+
+
+def test_the_calibration_of_another_frame_is_refused(log):
+    log.message("/camera/calibration")["frame_id"] = "camera_right"
+    with pytest.raises(DataError, match="'camera_right', /camera/image of 'camera'"):
+        log.load()
+
+
+def test_the_calibration_is_chosen_by_frame_and_time(log):
+    right = log.message("/camera/calibration")
+    other, older, newer = copy.deepcopy(right), copy.deepcopy(right), copy.deepcopy(right)
+    other["frame_id"] = "camera_right"
+    for one in (other, older, newer):
+        one["K"] = [2 * value for value in one["K"][:8]] + [1.0]
+    log.said["/camera/calibration"] = [(0, other), (1, older), (2, right), (4, newer)]
+    log.at("/camera/image", 3.0)
+    assert log.load().camera.fx == SCENE.camera.fx
+
+
+@pytest.mark.parametrize("culprit", ["calibration", "image", "mask"])
+def test_sizes_that_differ_are_refused(log, culprit):
+    small = np.full((240, 320, 3), 255, np.uint8)
+    if culprit == "calibration":
+        log.message("/camera/calibration").update(width=320, height=240)
+    elif culprit == "image":
+        data = cv2.imencode(".png", small)[1].tobytes()
+        log.message("/camera/image").update(format="png", data=base64.b64encode(data).decode())
+    else:
+        log.attachments["hand_mask.png"] = cv2.imencode(".png", small[..., 0])[1].tobytes()
+    with pytest.raises(DataError, match="pixels, /camera/calibration is for"):
+        log.load()
+
+
+def test_a_camera_rotation_that_is_no_number_is_refused(log):
+    log.facts["deltasafe.scene"]["camera_rotation"] = [[None] * 3] * 3
+    with pytest.raises(DataError, match="disagree"):
+        log.load()
+
+
+def test_a_scene_far_into_a_recording_is_read_to_the_last_bit(log):
+    for topic in SCHEMA:
+        log.at(topic, 1_700_000_000.25)
+    scene = log.load()
+    assert (scene.start, scene.goal) == (SCENE.start, SCENE.goal)
+    assert_camera_as_logged(scene, atol=0)
