@@ -8,6 +8,7 @@
 # make registry  lists the versions of the ensemble;  make rollback BECAUSE='...'  puts the one before in use again
 # make wheel  builds the library alone into dist/;  make examples  pulls the ensemble in use into environments made from it
 # make team  adds what several machines on the same records need: PostgreSQL, an object store (docs/deployment.md)
+# make docs  builds the documentation site into site/; it works without a server: open site/index.html
 # make ui    opens the Dagster UI (and MLflow's) on the same storage
 #
 # TORCH_INDEX=https://download.pytorch.org/whl/cpu makes the installation smaller on machines without a GPU.
@@ -21,13 +22,14 @@ AUDITOR := $(VENV)/audit/.installed
 TEAM := $(VENV)/.team-installed
 SERVICES := $(VENV)/.services-installed
 CLUSTER := $(VENV)/.cluster-installed
+SITE := $(VENV)/.docs-installed
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 REQUIREMENTS := -e .[vision,sim,mcap,signing] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
 # make results  writes docs/results/README.md from the records beside it
-.PHONY: results scale team services-test lint-deploy browser-test pictures operation-record wheel examples registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study tracking-study benchmarks faults sbom audit
+.PHONY: docs results scale team services-test lint-deploy browser-test pictures operation-record wheel examples registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study tracking-study benchmarks faults sbom audit
 
 demo: $(STAMP)
 	$(BIN)/python -m pipelines.demo
@@ -102,6 +104,10 @@ check: $(STAMP)
 	DAGSTER_HOME= $(BIN)/dg check defs
 	DAGSTER_HOME= $(BIN)/dagster definitions validate -w workspace.yaml
 
+# site/: Markdown of docs/ and the API reference from the docstrings; a broken link or reference fails
+docs: $(SITE)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 ui: $(STAMP)
 	$(BIN)/python -m pipelines.ui
 
@@ -171,7 +177,7 @@ $(STAMP): pyproject.toml constraints.txt
 # constraints.txt: newest versions that install together, free of hosts
 lock:
 	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \
-	  --extra vision --extra sim --extra mcap --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster pyproject.toml -o constraints.txt
+	  --extra vision --extra sim --extra mcap --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster --group docs pyproject.toml -o constraints.txt
 
 # more rendered hands and scenes; `make surroundings` fetches light and surfaces once, without it they are procedural
 RENDERER := $(VENV)/.renderer-installed
@@ -198,6 +204,10 @@ $(TEAM): $(STAMP)
 $(SERVICES): $(STAMP)
 	$(call install,$(VENV),--group services)
 	@touch $(SERVICES)
+
+$(SITE): $(STAMP)
+	$(call install,$(VENV),--group docs)
+	@touch $(SITE)
 
 $(BROWSER): $(STAMP)
 	$(call install,$(VENV),--group browser)
