@@ -1,13 +1,13 @@
 # make demo  sets everything up and runs the whole chain on the embedded data (preset: PRESET=default)
 # make test  sets everything up and runs the checks and tests
-# make hands OUT=folder N=50 SET=test-like  and  make scenes OUT=folder N=100  render more pictures (docs/data.md)
-# make scale  does the same work on a Ray cluster of two hosts (network namespaces) and on one machine (docs/scaling.md)
+# make hands OUT=folder N=50 SET=test-like  and  make scenes OUT=folder N=100  render more pictures (docs/how-to/render-data.md)
+# make scale  does the same work on a Ray cluster of two hosts (network namespaces) and on one machine (docs/how-to/cluster.md)
 # make benchmarks  measures this machine: training, inference, the paper's preset (leave it alone meanwhile)
-# make faults  tries what must not go wrong, thousands of times (docs/reliability.md); minutes
+# make faults  tries what must not go wrong, thousands of times (docs/explanation/reliability.md); minutes
 # make audit   asks whether anything installed has a known vulnerability;  make sbom  writes what is installed to dist/
 # make registry  lists the versions of the ensemble;  make rollback BECAUSE='...'  puts the one before in use again
 # make wheel  builds the library alone into dist/;  make examples  pulls the ensemble in use into environments made from it
-# make team  adds what several machines on the same records need: PostgreSQL, an object store (docs/deployment.md)
+# make team  adds what several machines on the same records need: PostgreSQL, an object store (docs/how-to/team.md)
 # make docs  builds the documentation site into site/; it works without a server: open site/index.html
 # make ui    opens the Dagster UI (and MLflow's) on the same storage
 #
@@ -47,7 +47,7 @@ planner-study: $(STAMP)
 	$(BIN)/python -m pipelines.planner_study --record docs/results/planner.json
 
 # thousands of executed motions, an hour; after `make demo`, whose ensemble it takes.
-# SCENES="DIR ..." names folders of scenes (docs/data.md), EXECUTIONS=N how many motions
+# SCENES="DIR ..." names folders of scenes (docs/how-to/render-data.md), EXECUTIONS=N how many motions
 safety-study: $(STAMP)
 	$(BIN)/python -m pipelines.safety_study --record docs/results/safety.json \
 	  $(if $(SCENES),--scenes $(SCENES)) $(if $(EXECUTIONS),--executions $(EXECUTIONS))
@@ -71,7 +71,7 @@ benchmarks: $(STAMP)
 results: $(STAMP)
 	$(BIN)/python -m pipelines.results_page
 
-# malformed inputs, changed bytes, kills, a hundred runs in one process: each command fails if one promise of docs/reliability.md does not hold
+# malformed inputs, changed bytes, kills, a hundred runs in one process: each command fails if one promise of docs/explanation/reliability.md does not hold
 faults: $(STAMP)
 	$(BIN)/python -m faults.inputs --record docs/results/reliability.json
 	$(BIN)/python -m faults.flips --record docs/results/reliability.json
@@ -141,7 +141,7 @@ lint-deploy: $(SERVICES)
 	$(BIN)/yamllint --strict -d '{extends: default, rules: {line-length: {max: 140}, document-start: disable, braces: {max-spaces-inside: 0}}}' deploy
 	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec deploy/compose.yaml
 
-# the UI, used by clicks; a Chromium has to be there (docs/ui.md). SCREENSHOTS=DIR keeps what it saw, RECORD=FILE the outcome
+# the UI, used by clicks; a Chromium has to be there (docs/how-to/ui.md). SCREENSHOTS=DIR keeps what it saw, RECORD=FILE the outcome
 browser-test: $(BROWSER)
 	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m pipelines.operation browser $(if $(RECORD),--record $(RECORD))
 
