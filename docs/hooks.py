@@ -32,7 +32,7 @@ class ReadableDocstrings(griffe.Extension):
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring:
             text = _NAMES.sub(_one_entry_per_name, obj.docstring.value)
-            obj.docstring.value = re.sub(r"\b([Dd]ecision) (\d+)", r"[\1 \2][d\2]", text)
+            obj.docstring.value = re.sub(r"\b([Dd]ecisions?) (\d+)", r"[\1 \2][d\2]", text)
 
 
 def _one_entry_per_name(entry: re.Match[str]) -> str:
@@ -72,6 +72,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: Any) 
         up = "../" * page.file.src_uri.count("/")
         return f"{picture}[{text}]({up}{place}{anchor or ''})"
 
+    markdown = re.sub(r"^(### D(\d+): .*)$", r"\1 {#d\2}", markdown, flags=re.MULTILINE)
     return _LINK.sub(replaced, markdown)
 
 
