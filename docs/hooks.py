@@ -21,7 +21,9 @@ INCLUDED = {
 """Markdown files outside of docs/ and the page of the site that shows each of them."""
 
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")
-_REQUEST = re.compile(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"?(?:https?:)?//|<link\b[^>]*\bhref=\"?(?:https?:)?//")
+_REQUEST = re.compile(
+    r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"?(?:https?:)?//|<link\b[^>]*\bhref=\"?(?:https?:)?//"
+)
 
 _NAMES = re.compile(r"^( {4,})(\w+(?:, \w+)+)(: .*(?:\n\1 .*)*)", re.MULTILINE)
 
