@@ -18,6 +18,7 @@ from deltasafe.studies.tracking.settings import TrackingStudySettings
 __all__ = ["PRESETS", "VARIABLE", "Preset", "active"]
 
 VARIABLE = "DELTASAFE_PRESET"
+"""Environment variable that names the active preset."""
 
 # gamma(v): the paper's slope with the constant that `make tracking-study` gives for it (docs/results/tracking_study).
 # In the paper's experiment the area between path and table is penalised, so that the tool passes near the fingers
@@ -101,6 +102,7 @@ PRESETS = {
         inference=InferenceSettings(384, 288),
     ),
 }
+"""The presets by name: `smoke`, `default` and `paper`."""
 
 
 def active() -> Preset:

@@ -88,7 +88,7 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
 
 
 def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> LoggedScene:
-    """Turn an MCAP log into a scene folder (see docs/data.md), which appears as a whole, and read it.
+    """Turn an MCAP log into a scene folder (see docs/reference/formats.md), which appears as a whole, and read it.
 
     Raises:
         DataError: the log is damaged, or lacks a topic, a fact or the truth that scenes are judged by.
