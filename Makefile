@@ -1,13 +1,14 @@
 # make demo  sets everything up and runs the whole chain on the embedded data (preset: PRESET=default)
 # make test  sets everything up and runs the checks and tests
-# make hands OUT=folder N=50 SET=test-like  and  make scenes OUT=folder N=100  render more pictures (docs/data.md)
-# make scale  does the same work on a Ray cluster of two hosts (network namespaces) and on one machine (docs/scaling.md)
+# make hands OUT=folder N=50 SET=test-like  and  make scenes OUT=folder N=100  render more pictures (docs/how-to/render-data.md)
+# make scale  does the same work on a Ray cluster of two hosts (network namespaces) and on one machine (docs/how-to/cluster.md)
 # make benchmarks  measures this machine: training, inference, the paper's preset (leave it alone meanwhile)
-# make faults  tries what must not go wrong, thousands of times (docs/reliability.md); minutes
+# make faults  tries what must not go wrong, thousands of times (docs/explanation/reliability.md); minutes
 # make audit   asks whether anything installed has a known vulnerability;  make sbom  writes what is installed to dist/
 # make registry  lists the versions of the ensemble;  make rollback BECAUSE='...'  puts the one before in use again
 # make wheel  builds the library alone into dist/;  make examples  pulls the ensemble in use into environments made from it
-# make team  adds what several machines on the same records need: PostgreSQL, an object store (docs/deployment.md)
+# make team  adds what several machines on the same records need: PostgreSQL, an object store (docs/how-to/team.md)
+# make docs  builds the documentation site into site/; it works without a server: open site/index.html
 # make ui    opens the Dagster UI (and MLflow's) on the same storage
 #
 # TORCH_INDEX=https://download.pytorch.org/whl/cpu makes the installation smaller on machines without a GPU.
@@ -21,13 +22,14 @@ AUDITOR := $(VENV)/audit/.installed
 TEAM := $(VENV)/.team-installed
 SERVICES := $(VENV)/.services-installed
 CLUSTER := $(VENV)/.cluster-installed
+SITE := $(VENV)/.docs-installed
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 REQUIREMENTS := -e .[vision,sim,mcap,signing] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
 # make results  writes docs/results/README.md from the records beside it
-.PHONY: results scale team services-test lint-deploy browser-test pictures operation-record wheel examples registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study tracking-study benchmarks faults sbom audit
+.PHONY: docs results scale team services-test lint-deploy browser-test pictures operation-record wheel examples registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study tracking-study benchmarks faults sbom audit
 
 demo: $(STAMP)
 	$(BIN)/python -m pipelines.commands.demo
@@ -45,7 +47,7 @@ planner-study: $(STAMP)
 	$(BIN)/python -m pipelines.commands.planner_study --record docs/results/planner.json
 
 # thousands of executed motions, an hour; after `make demo`, whose ensemble it takes.
-# SCENES="DIR ..." names folders of scenes (docs/data.md), EXECUTIONS=N how many motions
+# SCENES="DIR ..." names folders of scenes (docs/how-to/render-data.md), EXECUTIONS=N how many motions
 safety-study: $(STAMP)
 	$(BIN)/python -m pipelines.commands.safety_study --record docs/results/safety.json \
 	  $(if $(SCENES),--scenes $(SCENES)) $(if $(EXECUTIONS),--executions $(EXECUTIONS))
@@ -69,7 +71,7 @@ benchmarks: $(STAMP)
 results: $(STAMP)
 	$(BIN)/python -m pipelines.results_page
 
-# malformed inputs, changed bytes, kills, a hundred runs in one process: each command fails if one promise of docs/reliability.md does not hold
+# malformed inputs, changed bytes, kills, a hundred runs in one process: each command fails if one promise of docs/explanation/reliability.md does not hold
 faults: $(STAMP)
 	$(BIN)/python -m faults.inputs --record docs/results/reliability.json
 	$(BIN)/python -m faults.flips --record docs/results/reliability.json
@@ -101,6 +103,10 @@ check: $(STAMP)
 	$(BIN)/lint-imports
 	DAGSTER_HOME= $(BIN)/dg check defs
 	DAGSTER_HOME= $(BIN)/dagster definitions validate -w workspace.yaml
+
+# site/: Markdown of docs/ and the API reference from the docstrings; a broken link or reference fails
+docs: $(SITE)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 ui: $(STAMP)
 	$(BIN)/python -m pipelines.commands.ui
@@ -135,7 +141,7 @@ lint-deploy: $(SERVICES)
 	$(BIN)/yamllint --strict -d '{extends: default, rules: {line-length: {max: 140}, document-start: disable, braces: {max-spaces-inside: 0}}}' deploy
 	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec deploy/compose.yaml
 
-# the UI, used by clicks; a Chromium has to be there (docs/ui.md). SCREENSHOTS=DIR keeps what it saw, RECORD=FILE the outcome
+# the UI, used by clicks; a Chromium has to be there (docs/how-to/ui.md). SCREENSHOTS=DIR keeps what it saw, RECORD=FILE the outcome
 browser-test: $(BROWSER)
 	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m pipelines.operation browser $(if $(RECORD),--record $(RECORD))
 
@@ -171,7 +177,7 @@ $(STAMP): pyproject.toml constraints.txt
 # constraints.txt: newest versions that install together, free of hosts
 lock:
 	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \
-	  --extra vision --extra sim --extra mcap --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster pyproject.toml -o constraints.txt
+	  --extra vision --extra sim --extra mcap --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster --group docs pyproject.toml -o constraints.txt
 
 # more rendered hands and scenes; `make surroundings` fetches light and surfaces once, without it they are procedural
 RENDERER := $(VENV)/.renderer-installed
@@ -198,6 +204,10 @@ $(TEAM): $(STAMP)
 $(SERVICES): $(STAMP)
 	$(call install,$(VENV),--group services)
 	@touch $(SERVICES)
+
+$(SITE): $(STAMP)
+	$(call install,$(VENV),--group docs)
+	@touch $(SITE)
 
 $(BROWSER): $(STAMP)
 	$(call install,$(VENV),--group browser)

@@ -18,6 +18,7 @@ from deltasafe.studies.tracking.settings import TrackingStudySettings
 __all__ = ["PRESETS", "VARIABLE", "Preset", "active"]
 
 VARIABLE = "DELTASAFE_PRESET"
+"""Environment variable that names the active preset."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,6 +96,7 @@ PRESETS = {
         inference=InferenceSettings(384, 288),
     ),
 }
+"""The presets by name: `smoke`, `default` and `paper`."""
 
 
 def active() -> Preset:

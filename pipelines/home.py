@@ -1,6 +1,6 @@
 """`$DELTASAFE_HOME`: everything that is made lies below it, Dagster's and MLflow's records included.
 
-A team keeps Dagster's records in PostgreSQL instead: `$DELTASAFE_DATABASE` (docs/deployment.md).
+A team keeps Dagster's records in PostgreSQL instead: `$DELTASAFE_DATABASE` (docs/how-to/team.md).
 """
 
 import fcntl

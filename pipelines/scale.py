@@ -4,7 +4,7 @@ chain       the smoke chain, its steps as jobs of the cluster: augmented set, me
 study       a study of a thousand plans: here, on one host, on two, and on two of which one is killed
 driver      a process that has given work to the cluster and is killed: the work ends as well
 concurrent  two runs of one job at the same time
-costs       of an augmented image, which no other record has; for docs/scaling.md
+costs       of an augmented image, which no other record has; for docs/explanation/scale.md
 """
 
 import argparse

@@ -93,7 +93,7 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
 
 
 def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> LoggedScene:
-    """Turn an MCAP log into a scene folder (see docs/data.md), which appears as a whole, and read it.
+    """Turn an MCAP log into a scene folder (see docs/reference/formats.md), which appears as a whole, and read it.
 
     The first image counts. Poses are taken into the frame ``world`` by the transforms at the time of that image.
 

@@ -129,7 +129,7 @@ def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
 
 def _member(path: pathlib.Path, record: Any, name: str) -> Any:
     if not isinstance(record, Mapping) or name not in record:
-        raise DataError(path, f"field {name} is missing; add it (docs/data.md)")
+        raise DataError(path, f"field {name} is missing; add it (docs/reference/formats.md)")
     return record[name]
 
 

@@ -15,7 +15,7 @@ from pipelines.tracking import mlflow_server
 ROOT = pathlib.Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
 FILES = sorted(path for path in DEPLOY.rglob("*") if path.is_file() and path.name != ".env")
-PAGE = (ROOT / "docs" / "deployment.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "how-to" / "team.md").read_text(encoding="utf-8")
 OURS = re.compile(r"\bDELTASAFE_[A-Z_]+\b")
 ONLY_HERE = {"DELTASAFE_VERSION"}
 """Read by compose and by nothing else."""

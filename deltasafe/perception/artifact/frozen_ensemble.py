@@ -188,7 +188,8 @@ def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
 def load_ensemble(folder: str | pathlib.Path, device: str = "cpu", backend: str = "auto") -> FrozenEnsemble:
     """Load a frozen ensemble after verifying every file of it.
 
-    >>> p_occupied = load_ensemble("ensemble-0123456789abcdef").p_occupied(rgb)  # doctest: +SKIP
+    Examples:
+        >>> p_occupied = load_ensemble("ensemble-0123456789abcdef").p_occupied(rgb)  # doctest: +SKIP
 
     Args:
         device: ``cpu``, ``cuda``, ...

@@ -93,6 +93,6 @@ def test_another_machine_of_ours_runs_no_code_of_the_registry(mlflow, champion, 
 
 
 def test_whoever_loads_it_as_a_model_of_mlflow_runs_its_code(mlflow, tampered):
-    """What cannot be switched off, and is said in docs/reliability.md."""
+    """What cannot be switched off, and is said in docs/explanation/reliability.md."""
     mlflow.pyfunc.load_model(f"models:/{MODEL_NAME}@{CHAMPION}")
     assert tampered.exists()

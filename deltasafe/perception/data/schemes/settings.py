@@ -82,7 +82,7 @@ class FlipRotate90Settings(ComparedSettings):
 
 @dataclasses.dataclass(frozen=True)
 class FlipRotateCropSettings(ComparedSettings):
-    """Flip, rotation and crop (Uzun et al. 2021, whose ranges are not known; decision in docs/decisions.md).
+    """Flip, rotation and crop (Uzun et al. 2021, whose ranges are not known; decision 9).
 
     Attributes:
         largest_angle_deg: the angle is uniform between minus and plus this.
