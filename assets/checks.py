@@ -11,6 +11,7 @@ from assets.config import configurable
 from assets.perception import members
 from assets.policies import ON_NEW_ASSET
 from assets.reporting import Metadata, readable
+from assets.run_settings import planning_delta
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -147,11 +148,14 @@ def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResu
     additional_ins={"logged_scenes": dg.AssetIn("logged_scenes")},
     description="In no scene would the planner take more than 5 % of the true hand for free.",
 )
-def true_hands_are_seen(occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path) -> dg.AssetCheckResult:
+def true_hands_are_seen(
+    context: dg.AssetCheckExecutionContext, occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path
+) -> dg.AssetCheckResult:
     from deltasafe.trials.occupancy_fields import missed_hand
     from deltasafe.trials.selection import load_selection
 
-    missed = missed_hand(load_selection(logged_scenes), occupancy_fields, PRESET.motion.delta)
+    delta = planning_delta(context.run.run_config)
+    missed = missed_hand(load_selection(logged_scenes), occupancy_fields, delta)
     worst = max(missed, key=lambda scene: missed[scene])
     return dg.AssetCheckResult(
         passed=missed[worst] <= 0.05,

@@ -9,6 +9,7 @@ from assets.interfaces import Store
 from assets.policies import ALL_CORES, ON_NEW_DATA, RETRY_TWICE, no_retry
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture, readable, with_opening
+from assets.run_settings import planning_delta
 from deltasafe import presets
 
 PRESET = presets.active()
@@ -94,7 +95,7 @@ def occupancy_fields(
     scenes = load_selection(logged_scenes)
     folder = store.folder("occupancy_fields", context.run_id[:8])
     write_fields(load_ensemble(champion), scenes, folder, config.settings(), progress_of(context))
-    picture = overview(scenes, folder, PRESET.motion.delta, folder / "overview.jpg")
+    picture = overview(scenes, folder, planning_delta(context.run.run_config), folder / "overview.jpg")
     metadata: Metadata = {"overview": inline_picture(picture), "scenes": len(scenes), "ensemble": champion.name}
     return dg.Output(folder, metadata={**metadata, **folder_facts(folder)})
 

@@ -1,5 +1,6 @@
 """From fifty labeled images to a frozen ensemble."""
 
+import dataclasses
 import pathlib
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from assets.reporting import (
     readable,
     with_opening,
 )
+from assets.run_settings import planning_delta
 from deltasafe import presets
 from deltasafe.compute.executor import Executor
 
@@ -184,11 +186,13 @@ def calibration_report(
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
     folder, test = store.folder("calibration_report", context.run_id[:8]), LabeledImageSet.load(test_hands)
+    delta = planning_delta(context.run.run_config)
+    calibration = dataclasses.replace(config.calibration.settings(), planning_delta=delta)
     report = evaluate_ensemble(
         trained,
         test,
         folder,
-        EvaluationSettings(config.inference.settings(), config.calibration.settings()),
+        EvaluationSettings(config.inference.settings(), calibration),
         _calibration_set(config.calibration_folder, raw_hands),
         device=config.device,
         progress=progress_of(context),

@@ -9,6 +9,7 @@ from typing import Any
 import dagster as dg
 
 from assets.config import SettingsConfig
+from assets.run_settings import conflicting_deltas
 from deltasafe.errors import SettingsError
 
 __all__ = ["wrong_settings"]
@@ -20,6 +21,7 @@ def wrong_settings(run_config: Mapping[str, Any]) -> str:
     for step, given in run_config.get("ops", {}).items():
         if step in classes and given.get("config"):
             wrong += [f"{step}: {error}" for error in _errors(classes[step](**given["config"]))]
+    wrong += filter(None, [conflicting_deltas(run_config)])
     return f"nothing was run, since settings are wrong: {'; '.join(wrong)}" if wrong else ""
 
 

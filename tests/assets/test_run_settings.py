@@ -1,0 +1,44 @@
+"""One delta for a run: the motions' delta also decides report, gate, overview and checks."""
+
+import pytest
+
+from assets.run_settings import conflicting_deltas, planning_delta
+from deltasafe.presets import PRESETS
+from pipelines.automation.launch_check import wrong_settings
+
+PRESET_DELTA = PRESETS["smoke"].motion.delta
+
+
+def run_config(motion=None, report=None):
+    ops = {}
+    if motion is not None:
+        ops["planned_motions"] = {"config": {"motion": {"delta": motion}}}
+    if report is not None:
+        ops["calibration_report"] = {"config": {"calibration": {"planning_delta": report}}}
+    return {"ops": ops}
+
+
+@pytest.mark.parametrize(
+    ("config", "expected"),
+    [
+        ({}, PRESET_DELTA),
+        (run_config(), PRESET_DELTA),
+        (run_config(motion=0.02), 0.02),
+        (run_config(report=0.1), 0.1),
+        (run_config(motion=0.02, report=0.02), 0.02),
+    ],
+)
+def test_the_delta_of_the_motions_is_the_delta_of_the_run(config, expected):
+    assert planning_delta(config) == expected
+
+
+def test_a_report_about_another_delta_is_refused_before_anything_runs():
+    assert conflicting_deltas(run_config(motion=0.02, report=0.02)) == ""
+    assert conflicting_deltas(run_config(motion=0.02)) == ""
+    assert "0.1, but planned_motions plans with delta 0.02" in conflicting_deltas(run_config(motion=0.02, report=0.1))
+    assert f"plans with delta {PRESET_DELTA:g}" in wrong_settings(run_config(report=0.1))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_report_about_the_delta_that_they_plan_with(name):
+    assert PRESETS[name].calibration.planning_delta == PRESETS[name].motion.delta
