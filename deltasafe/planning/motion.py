@@ -156,7 +156,7 @@ def plan_motion(
     Raises:
         SettingsError: the table is not the lower face of the grid, or a setting is outside its domain.
     """
-    if abs(table_z_m - grid.origin_m[2]) > 1e-9:
+    if not abs(table_z_m - grid.origin_m[2]) <= 1e-9:
         raise SettingsError(f"the grid must stand on the table: {grid.origin_m[2]} m against {table_z_m} m")
     body, tracking = body or ToolBody(), tracking or settings.tracking
     field = DistanceField.build(grid, settings.delta)

@@ -1,7 +1,6 @@
 """The pinhole camera that looks at the table: world points to pixels, and back at a known height."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +12,7 @@ from deltasafe.errors import SettingsError
 __all__ = ["Camera"]
 
 Array = NDArray[np.float64]
+MOST_PIXELS = 1e6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,8 +44,10 @@ class Camera:
             if not (type(getattr(self, name)) is int and getattr(self, name) > 0):
                 raise SettingsError(f"{name} must be a positive number of pixels, got {getattr(self, name)!r}")
         for name in ("fx", "fy", "cx", "cy"):
-            if not math.isfinite(getattr(self, name)):
-                raise SettingsError(f"{name} must be finite, got {getattr(self, name)!r}")
+            if not abs(getattr(self, name)) <= MOST_PIXELS:
+                raise SettingsError(
+                    f"{name} must be finite and at most {MOST_PIXELS:g} pixels, got {getattr(self, name)!r}"
+                )
         if self.fx <= 0 or self.fy <= 0:
             raise SettingsError(f"focal lengths must be positive, got fx {self.fx}, fy {self.fy}")
         for name, shape in (("position_m", (3,)), ("world_from_camera_rotation", (3, 3))):

@@ -1,12 +1,24 @@
 import json
 import pathlib
 
+import numpy as np
 import pytest
 
 from deltasafe.compute import numba_cache as compiling
-from deltasafe.errors import DataError, SettingsError
+from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.geometry import Pose
-from deltasafe.planning import MotionSettings, PlannedMotion, PlanStatus, plan_motion
+from deltasafe.planning import (
+    DistanceField,
+    MotionSettings,
+    PlannedMotion,
+    Planner,
+    PlannerSettings,
+    PlanStatus,
+    TrackingBound,
+    plan,
+    plan_motion,
+    schedule,
+)
 from deltasafe.scene import Cuboid, OccupancyGrid, grid_from_shapes
 
 START, GOAL = Pose(-0.14, 0.0, 0.03), Pose(0.14, 0.0, 0.03, 0.5)
@@ -75,6 +87,48 @@ def test_broken_storage_is_named(motion: PlannedMotion, tmp_path: pathlib.Path) 
 def test_the_grid_must_stand_on_the_table(grid: OccupancyGrid) -> None:
     with pytest.raises(SettingsError, match="stand on the table"):
         plan_motion(grid, START, GOAL, 0.01, MotionSettings(), 0)
+
+
+@pytest.mark.parametrize("table_z_m", [float("nan"), float("inf"), 1e300])
+def test_a_table_that_is_not_finite_is_refused(grid: OccupancyGrid, table_z_m: float) -> None:
+    with pytest.raises(SettingsError, match="stand on the table"):
+        plan_motion(grid, START, GOAL, table_z_m, MotionSettings(), 0)
+
+
+def test_search_and_schedule_keep_the_tracking_bound_of_their_settings(grid: OccupancyGrid) -> None:
+    """gamma(v_min) is 10 mm + 0.05 s * 0.01 m/s; the reserve is 1 mm."""
+    settings, field = MotionSettings(gamma0_m=0.01, n_iterations=500), DistanceField.build(grid, 0.05)
+    result = plan(START, GOAL, field, settings, 3)
+    assert result.margin_m == pytest.approx(0.0115)
+    assert Planner(START, [GOAL], field, settings, 3).plan()[0].margin_m == pytest.approx(0.0115)
+    assert result.path is not None
+    profile = schedule(result.path, field, settings)[1]
+    assert profile.clearance_m.min() >= 0.0105 - 1e-12
+    close = plan(START, GOAL, field, MotionSettings(n_iterations=500), 3)
+    assert close.margin_m == pytest.approx(0.0015)
+    assert close.path is not None
+    with pytest.raises(PlanningError, match=r"gamma\(v_min\) is 10.50 mm"):
+        schedule(close.path, field, settings)
+
+
+def test_a_given_tracking_bound_goes_before_that_of_the_settings(grid: OccupancyGrid) -> None:
+    settings, field = MotionSettings(gamma0_m=0.01, n_iterations=500), DistanceField.build(grid, 0.05)
+    assert plan(START, GOAL, field, settings, 3, tracking=TrackingBound()).margin_m == pytest.approx(0.0015)
+    motion = plan_motion(grid, START, GOAL, 0.0, settings, 3, tracking=TrackingBound())
+    assert motion.result.margin_m == pytest.approx(0.0015)
+    assert motion.tracking == TrackingBound()
+    plain = PlannerSettings(n_iterations=500)
+    assert plan(START, GOAL, field, plain, 3).margin_m == pytest.approx(0.0015)
+
+
+def test_the_schedule_takes_the_rotation_weight_of_its_settings(grid: OccupancyGrid, motion: PlannedMotion) -> None:
+    assert motion.result.path is not None
+    field, settings = DistanceField.build(grid, 0.05), MotionSettings(rotation_weight_m2=0.04)
+    of_settings = schedule(motion.result.path, field, settings)[0]
+    given = schedule(motion.result.path, field, settings, rotation_weight_m2=0.04)[0]
+    other = schedule(motion.result.path, field, settings, rotation_weight_m2=0.01)[0]
+    assert np.array_equal(of_settings.poses, given.poses)
+    assert not np.array_equal(of_settings.poses, other.poses)
 
 
 def test_settings_are_flat_and_plain() -> None:
