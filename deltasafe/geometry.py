@@ -8,12 +8,38 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["Pose", "PosePath", "Trajectory", "wrap_to_pi", "yaw_of"]
+__all__ = ["Pose", "PosePath", "Trajectory", "as_rows", "wrap_to_pi", "yaw_of"]
 
 Array = NDArray[np.float64]
 
 FARTHEST = 1000.0
 """Meters and radians: searches divide the space between their ends into cells, and count them."""
+
+LONGEST_S = 1e5
+"""Longest trajectory: more than a day; the controller's samples of it are held in memory."""
+
+
+def as_rows(values: object, columns: int, name: str) -> Array:
+    """Copy ``values`` to a contiguous float64 array (N, ``columns``), finite and within ``FARTHEST``.
+
+    Compiled code turns coordinates into indices without a check: NaN or 1e300 would read outside the arrays. Every
+    public function that leads there calls this once.
+
+    Raises:
+        SettingsError: wrong shape, not numbers, or a value that is not finite or too large; names the row.
+    """
+    try:
+        rows = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise SettingsError(f"{name} must be numbers of shape (N, {columns}): {error}") from error
+    if rows.ndim != 2 or rows.shape[1] != columns:
+        raise SettingsError(f"{name} must have shape (N, {columns}), got {rows.shape}")
+    if not np.abs(rows).max(initial=0.0) <= FARTHEST:  # false for NaN
+        row = int(np.flatnonzero(~(np.abs(rows) <= FARTHEST).all(axis=1))[0])
+        raise SettingsError(
+            f"{name} must be finite and within {FARTHEST:g} meters and radians, got {rows[row].tolist()} in row {row}"
+        )
+    return rows
 
 
 def wrap_to_pi(angle_rad: Array | float) -> Array:
@@ -94,6 +120,8 @@ class Trajectory:
             raise SettingsError(f"time_s must be a finite vector of at least one sample, got {time_s.shape}")
         if time_s[0] != 0.0 or (np.diff(time_s) <= 0).any():
             raise SettingsError("time_s must start at 0 and increase strictly")
+        if time_s[-1] > LONGEST_S:
+            raise SettingsError(f"time_s must end within {LONGEST_S:g} s, got {time_s[-1]:g}")
         time_s.setflags(write=False)
         object.__setattr__(self, "time_s", time_s)
         object.__setattr__(self, "poses", _frozen(self.poses, "poses", 4))
@@ -115,10 +143,6 @@ class Trajectory:
 
 
 def _frozen(values: Array, name: str, columns: int) -> Array:
-    values = np.array(values, dtype=np.float64)
-    if values.ndim != 2 or values.shape[1] != columns:
-        raise SettingsError(f"{name} must have shape (N, {columns}), got {values.shape}")
-    if not np.isfinite(values).all():
-        raise SettingsError(f"{name} must be finite")
-    values.setflags(write=False)
-    return values
+    rows = as_rows(values, columns, name)
+    rows.setflags(write=False)
+    return rows

@@ -1,16 +1,21 @@
 """What an arm can do, in a handful of verbs, and an arm in memory for tests of whoever drives one."""
 
 import dataclasses
+import math
 from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.execution.kinematics import JointLimits
+from deltasafe.geometry import FARTHEST
 
-__all__ = ["Arm", "ArmState", "Dynamics", "FloatingTool"]
+__all__ = ["Arm", "ArmState", "Dynamics", "FloatingTool", "measurement_fault"]
 
 Array = NDArray[np.float64]
+
+_UNIT_TOLERANCE = 1e-3
+"""By which the squared norm of a measured quaternion may differ from 1: single precision is 1e-7, a failed sensor 1."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,6 +32,28 @@ class ArmState:
     joint_velocities_radps: Array
     tool_position_m: Array
     tool_quaternion: Array
+
+
+def measurement_fault(state: ArmState) -> str:
+    """Return why a measurement cannot be trusted, or an empty string.
+
+    NaN, infinity, a position farther than 1000 m, or a quaternion that is no rotation (all zeros after a sensor fault).
+    Sums instead of ``np.isfinite``: this runs at every step of control, and a sum is finite only if every term is.
+    """
+    position, quaternion = state.tool_position_m.tolist(), state.tool_quaternion.tolist()
+    for name, values in (
+        ("joint positions", state.joint_positions_rad.tolist()),
+        ("joint velocities", state.joint_velocities_radps.tolist()),
+        ("tool position", position),
+        ("tool rotation", quaternion),
+    ):
+        if not math.isfinite(sum(values)):
+            return f"the measured {name} are not finite: {values}"
+    if len(position) != 3 or max(map(abs, position)) > FARTHEST:
+        return f"the measured tool position is no place within {FARTHEST:g} m: {position}"
+    if len(quaternion) != 4 or not abs(sum(value * value for value in quaternion) - 1) <= _UNIT_TOLERANCE:
+        return f"the measured tool rotation is no unit quaternion: {quaternion}"
+    return ""
 
 
 @dataclasses.dataclass(frozen=True)

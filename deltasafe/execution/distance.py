@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
+from deltasafe.geometry import as_rows
 from deltasafe.planning.body import ToolBody
 
 __all__ = ["MeshDistance"]
@@ -65,8 +66,11 @@ class MeshDistance:
 
         Args:
             at_most_m: what it surely does not exceed; nothing farther away is looked at.
+
+        Raises:
+            SettingsError: a point is not finite, or farther than 1000 m from 0.
         """
-        points = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
+        points = as_rows(points_m, 3, "points_m")
         box = (self._lowest, self._highest)
         return float(_points_distance(points, *box, *self._mesh, *self._blocks, at_most_m))
 
@@ -78,7 +82,14 @@ class MeshDistance:
             position_m: (3,) center of the disc.
             rotation: (3, 3) world from tool.
             at_most_m: what it surely does not exceed; nothing farther away is looked at.
+
+        Raises:
+            SettingsError: the pose has another shape, is not finite, or farther than 1000 m from 0.
         """
+        position_m = as_rows([position_m], 3, "position_m")[0]
+        rotation = as_rows(rotation, 3, "rotation")
+        if len(rotation) != 3:
+            raise SettingsError(f"rotation must have shape (3, 3), got {rotation.shape}")
         disc = (body.semi_axis_x_m, body.semi_axis_y_m, -body.thickness_m / 2, body.thickness_m / 2)
         shaft = (body.shaft_radius_m, body.shaft_radius_m, 0.0, body.shaft_length_m)
         best = at_most_m

@@ -68,8 +68,13 @@ class TaskReference:
 def impedance_torques(
     state: ArmState, dynamics: Dynamics, reference: TaskReference, settings: ImpedanceSettings
 ) -> Array:
-    """Joint torques (n,) in N m before saturation."""
-    return np.asarray(
+    """Joint torques (n,) in N m before saturation.
+
+    Raises:
+        SettingsError: the torques are not finite: a measurement, the model or the reference is not.
+        numpy.linalg.LinAlgError: the model is singular.
+    """
+    torques = np.asarray(
         _torques(
             state.joint_positions_rad,
             state.joint_velocities_radps,
@@ -83,6 +88,9 @@ def impedance_torques(
             settings.posture_frequency_radps,
         )
     )
+    if not math.isfinite(sum(torques.tolist())):
+        raise SettingsError(f"the torques must be finite, got {torques.tolist()}")
+    return torques
 
 
 @numba.njit(cache=True)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import PlanningError, SettingsError
+from deltasafe.geometry import as_rows
 
 __all__ = ["IIWA14_LIMITS", "ArmMount", "IiwaKinematics", "JointLimits"]
 
@@ -113,8 +114,9 @@ class IiwaKinematics:
 
         Raises:
             PlanningError: a pose is out of reach, or every branch leaves a joint's range; names pose and joint.
+            SettingsError: a pose is not finite, or farther than 1000 m or 1000 rad from 0.
         """
-        poses = np.asarray(poses, dtype=np.float64)
+        poses = as_rows(poses, 4, "poses")
         candidates = [self._branch(poses, signs) for signs in _BRANCHES]
         limits = np.array(self.limits.position_rad)
         margins = [float((1 - np.abs(q) / limits).min()) for q in candidates]

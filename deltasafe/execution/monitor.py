@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.errors import StaleImageError
-from deltasafe.execution.arm import ArmState
+from deltasafe.errors import SettingsError, StaleImageError
+from deltasafe.execution.arm import ArmState, measurement_fault
 from deltasafe.execution.impedance import TaskReference, pose_error
 from deltasafe.execution.kinematics import JointLimits
 from deltasafe.execution.settings import ExecutionSettings
@@ -26,6 +26,12 @@ Array = NDArray[np.float64]
 _MOST_MARGIN_M = 0.02
 _LOOK_EVERY_S = 0.01
 
+_AHEAD_S = 0.05
+"""By which an image's stamp may lie ahead of the clock: synchronized clocks differ by milliseconds, others by years.
+
+A dead camera is found this much later at most.
+"""
+
 
 @dataclasses.dataclass(frozen=True)
 class CameraWatch:
@@ -33,6 +39,10 @@ class CameraWatch:
 
     A real sensor never delivers the same image twice, its noise differs. An image that repeats the one before it to
     the last bit is a stale buffer, and so was perhaps the one that the motion was planned from.
+
+    All times are of one clock, the camera's. A stamp more than 0.05 s ahead of it is of another clock (Unix stamps
+    beside a ``starts_s`` of 0, for example): the age of an image would be negative, and never too old. It is refused
+    at the start and stops the motion later, as an old one does.
 
     Attributes:
         newest: the newest image at a time of the camera's clock (s).
@@ -45,34 +55,51 @@ class CameraWatch:
     starts_s: float = 0.0
 
     def require_live(self, max_look_age_s: float, max_frame_age_s: float) -> None:
-        """Refuse to start on an old image or beside a frozen camera.
+        """Refuse to start on an old image, on one from the future, or beside a frozen camera.
 
         Raises:
             StaleImageError: with the remedy.
         """
         age_s = self.starts_s - self.seen.taken_s
-        if age_s > max_look_age_s:
+        if not age_s >= -_AHEAD_S:  # true for NaN
+            raise StaleImageError(
+                f"the motion was planned from an image that is {-age_s:.2f} s ahead of the clock: taken_s "
+                f"{self.seen.taken_s}, starts_s {self.starts_s}; give both by the camera's clock"
+            )
+        if not age_s <= max_look_age_s:
             raise StaleImageError(
                 f"the motion was planned from an image {age_s:.1f} s old, {max_look_age_s:g} s are allowed; "
                 "take a new one and plan again"
             )
         reason = self.violation(0.0, self.seen, max_frame_age_s)[1]
         if reason:
-            raise StaleImageError(f"{reason}; restart the camera, take a new image and plan again")
+            raise StaleImageError(
+                f"{reason}; restart the camera, take a new image and plan again, all times by the camera's clock"
+            )
 
     def violation(self, time_s: float, before: ImageStamp, max_frame_age_s: float) -> tuple[ImageStamp, str]:
         """The newest image at ``time_s`` of the execution, and what is wrong with it after ``before``."""
         now_s = self.starts_s + time_s
-        newest = self.newest(now_s)
-        if now_s - newest.taken_s > max_frame_age_s:
-            return newest, f"the camera's newest image is {now_s - newest.taken_s:.2f} s old"
+        try:
+            newest = self.newest(now_s)
+        except SettingsError as error:  # a ImageStamp refuses a stamp that is not finite
+            return before, f"the camera's newest image is unusable: {error}"
+        age_s = now_s - newest.taken_s
+        if not age_s >= -_AHEAD_S:
+            return newest, f"the camera's newest image is {-age_s:.2f} s ahead of the clock"
+        if not age_s <= max_frame_age_s:
+            return newest, f"the camera's newest image is {age_s:.2f} s old"
         if newest.taken_s != before.taken_s and newest.image_sha256 == before.image_sha256:
             return newest, "the camera repeats an image to the last bit: it is frozen"
         return newest, ""
 
 
 class Monitor:
-    """Says why the arm must stop, or nothing, at each step of control."""
+    """Says why the arm must stop, or nothing, at each step of control.
+
+    It fails closed: a measurement, target or time that is not finite is a reason to stop, and every comparison is
+    written so that NaN stops.
+    """
 
     def __init__(
         self,
@@ -89,7 +116,7 @@ class Monitor:
         self._planned = None if field is None else segment_test(field, body, self._margin_m, CheckSettings())
         self._top_z_m = 0.0 if field is None else float(field.grid.upper_m[2])
         self._seen = None if camera is None else camera.seen
-        self._look_at_s = 0.0
+        self._look_at_s, self._time_s = 0.0, -math.inf
 
     def violation(self, time_s: float, state: ArmState, target: TaskReference, is_planned: bool) -> str:
         """Why the arm must stop.
@@ -97,7 +124,10 @@ class Monitor:
         Args:
             is_planned: whether this is the planned motion; approach and retreat lead through what was not seen.
         """
-        reason = self._tracking(state, target) or self._joint_speed(state)
+        before_s, self._time_s = self._time_s, time_s
+        if not before_s < time_s < math.inf:  # looks at clearance and camera follow this clock
+            return f"the clock of the control went from {before_s} s to {time_s} s"
+        reason = measurement_fault(state) or self._tracking(state, target) or self._joint_speed(state)
         if reason or time_s < self._look_at_s:
             return reason
         self._look_at_s = time_s + _LOOK_EVERY_S - 1e-9
@@ -110,7 +140,7 @@ class Monitor:
         error = math.hypot(x, y, z) + self._body.rho_max_m * math.hypot(a, b, c)
         speed = max(math.hypot(*target.twist[:3].tolist()), self._settings.min_speed_mps)
         allowed = self._bound.gamma0_m + self._bound.gamma1_s * speed + self._settings.monitor_margin_m
-        if error > allowed:
+        if not error <= allowed < math.inf:
             return f"workspace error {error * 1e3:.2f} mm exceeds {allowed * 1e3:.2f} mm at {speed:.3f} m/s"
         return ""
 
@@ -118,7 +148,7 @@ class Monitor:
         for joint, (speed, limit) in enumerate(
             zip(state.joint_velocities_radps.tolist(), self._speed_limit, strict=True)
         ):
-            if abs(speed) > limit:
+            if not abs(speed) <= limit:
                 return f"joint {joint + 1} turns {abs(speed) / limit:.2f} times as fast as it may"
         return ""
 
@@ -136,13 +166,15 @@ class Monitor:
         tilted_m = lever_m * 2 * math.asin(min(1.0, math.hypot(x, y)))
         pose = np.append(state.tool_position_m, yaw_of(state.tool_quaternion))
         clearance_m = float(body_clearance_m(self._planned, pose[None])[0]) - tilted_m
-        if clearance_m < 0:
+        if not clearance_m >= 0:
             error = pose_error(target.position_m, target.quaternion, state.tool_position_m, state.tool_quaternion)
             way_m = math.hypot(*error[:3].tolist()) + lever_m * math.hypot(*error[3:].tolist())
             pose = np.append(target.position_m, yaw_of(target.quaternion))
             if is_segment_safe(self._planned, pose, pose):
                 clearance_m = max(clearance_m, self._margin_m - way_m)
-        return f"the tool is {-clearance_m * 1e3:.2f} mm inside what is not known to be free" if clearance_m < 0 else ""
+        if not clearance_m >= 0:
+            return f"the tool is {-clearance_m * 1e3:.2f} mm inside what is not known to be free"
+        return ""
 
     def _image(self, time_s: float) -> str:
         if self._camera is None or self._seen is None:

@@ -34,6 +34,8 @@ COLUMNS: dict[str, tuple[type, int | None]] = {
 }
 """Each recorded array: its type and its columns; 0 columns: one value a sample, None: one per joint."""
 
+_MAY_BE_INFINITE = ("tool_to_hand_m", "arm_to_hand_m")
+
 
 @dataclasses.dataclass(frozen=True)
 class Execution:
@@ -78,6 +80,8 @@ class Execution:
                 raise SettingsError(f"{name} does not fit {count} samples: shape {array.shape}")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+            if np.isnan(array).any() or (np.isinf(array).any() and name not in _MAY_BE_INFINITE):
+                raise SettingsError(f"{name} must be finite")
         if count == 0 or not self.judged.any():
             raise SettingsError("an execution needs at least one sample of its motion")
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.errors import PlanningError
-from deltasafe.execution.arm import Arm
+from deltasafe.errors import PlanningError, SettingsError
+from deltasafe.execution.arm import Arm, measurement_fault
 from deltasafe.execution.impedance import TaskReference
 from deltasafe.execution.recording import PHASES
 from deltasafe.execution.settings import ExecutionSettings
@@ -27,6 +27,8 @@ class Reference:
         arm: Arm,
         unsafe_below_m: float | None,
     ) -> None:
+        if unsafe_below_m is not None and not math.isfinite(unsafe_below_m):
+            raise SettingsError(f"unsafe_below_m must be a finite height in meters, got {unsafe_below_m}")
         period = arm.control_period_s
         self.period_s = period
         motion_time: Array = np.arange(math.floor(trajectory.duration_s / period + 1e-9) + 1, dtype=np.float64) * period
@@ -51,7 +53,10 @@ class Reference:
         self._require_feasible(arm, unsafe_below_m)
         # the arm may hold the tool turned by half turns, under which it looks the same
         arm.reset(self.joints[0])
-        turned = float(yaw_of(arm.state().tool_quaternion)) - self.poses[0, 3]
+        self.start_state = arm.state()
+        if fault := measurement_fault(self.start_state):
+            raise PlanningError(f"the arm cannot start: {fault}; check its sensors")
+        turned = float(yaw_of(self.start_state.tool_quaternion)) - self.poses[0, 3]
         self.half_turns_rad = math.pi * round(turned / math.pi)
         half = (self.poses[:, 3] + self.half_turns_rad) / 2
         self._quaternions = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=1)
@@ -77,7 +82,7 @@ class Reference:
     def _require_feasible(self, arm: Arm, unsafe_below_m: float | None) -> None:
         limits = np.array(arm.limits.velocity_radps)
         share = np.abs(self.joint_velocities) / limits
-        if share.max() > 1:
+        if not share.max() <= 1:  # true for NaN
             sample, joint = np.unravel_index(np.argmax(share), share.shape)
             raise PlanningError(
                 f"at {sample * self.period_s:.2f} s joint {joint + 1} would have to turn "
@@ -87,7 +92,7 @@ class Reference:
             for index in range(0, len(self.joints), 50):
                 arm.reset(self.joints[index])
                 points = arm.link_points_m()
-                if len(points) and points[:, 2].min() < unsafe_below_m:
+                if len(points) and not points[:, 2].min() >= unsafe_below_m:
                     raise PlanningError(
                         f"at {index * self.period_s:.2f} s a link of the arm comes down to "
                         f"{points[:, 2].min():.3f} m, but space below {unsafe_below_m:.3f} m is not known to be "

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.execution.arm import Arm, ArmState
+from deltasafe.errors import SettingsError
+from deltasafe.execution.arm import Arm, ArmState, measurement_fault
 from deltasafe.execution.distance import MeshDistance
 from deltasafe.execution.disturbances import Disturbance
 from deltasafe.execution.impedance import TaskReference, impedance_torques
@@ -76,8 +77,11 @@ def execute(
         make_arm: makes an arm from the seed; the simulated iiwa 14 if None.
 
     Raises:
-        PlanningError: the arm cannot follow: out of reach, a joint range or speed exceeded, a link too low.
-        StaleImageError: the image that the motion was planned from is too old, or the camera is frozen.
+        PlanningError: the arm cannot follow: out of reach, a joint range or speed exceeded, a link too low; or what it
+            measures before it starts is not finite.
+        SettingsError: ``unsafe_below_m`` is not finite.
+        StaleImageError: the image that the motion was planned from is too old or from the future, or the camera is
+            frozen or unusable.
     """
     if camera is not None:
         camera.require_live(settings.max_look_age_s, settings.max_frame_age_s)
@@ -98,24 +102,33 @@ def _drive(
     settings: ExecutionSettings,
     progress: Progress,
 ) -> str:
-    """Run the control loop; returns why the monitor stopped the arm, or nothing."""
+    """Run the control loop; returns why the monitor stopped the arm, or nothing.
+
+    While a measurement is not finite, controller and record go on with the last one that was, until the brakes close.
+    """
     period, total = arm.control_period_s, len(reference.poses)
     every = max(1, round(1 / (settings.record_rate_hz * period)))
     torque_limit = np.array(arm.limits.torque_nm)
     arm.reset(reference.joints[0])
     reason, held, last, contacts = "", None, total - 1, 0
     brake_at, index = math.inf, 0
+    state, torques = reference.start_state, np.zeros_like(torque_limit)
     while index <= last:
-        state = arm.state()
-        target = held or reference.target(index)
-        torques = impedance_torques(state, arm.dynamics(state), target, settings.impedance)
+        measured = arm.state()
+        state = state if measurement_fault(measured) else measured
+        target, without_torques = held or reference.target(index), ""
+        try:
+            torques = impedance_torques(state, arm.dynamics(state), target, settings.impedance)
+        except (SettingsError, np.linalg.LinAlgError) as error:
+            without_torques = f"the controller has no torques: {error}"
         torques = np.minimum(np.maximum(torques, -torque_limit), torque_limit)
         if index % every == 0 or index == last:
             recorder.add(index, state, torques, contacts, bool(reason))
             progress(index, total, PHASES[reference.phase[index]])
             contacts = 0
         if not reason:
-            reason = monitor.violation(index * period, state, target, reference.is_planned(index))
+            reason = monitor.violation(index * period, measured, target, reference.is_planned(index))
+            reason = reason or without_torques
             if reason:
                 held = _hold(state)
                 last = min(last, index + round(_STOP_S / period))
@@ -177,6 +190,8 @@ class _Recorder:
         if self._distance is None:
             return math.inf, math.inf
         rotation, points = _matrix(state.tool_quaternion), self._arm.link_points_m()
+        if self._before is not None and not np.isfinite(points).all():
+            points = self._before[1]
         most_tool_m = most_arm_m = math.inf
         if self._before is not None:
             before, before_points, tool_m, arm_m = self._before

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import numbers
 import time
 from collections.abc import Sequence
 
@@ -25,7 +26,7 @@ from deltasafe.planning.search.connectivity import is_connected
 from deltasafe.planning.search.cost import COSTS, area_m2, line_cost, path_cost
 from deltasafe.planning.search.rrt_star import NEAR_SETS, RrtStar
 from deltasafe.planning.search.shortcutting import refine_path
-from deltasafe.planning.tracking_bound import TrackingBound
+from deltasafe.planning.tracking_bound import TrackingBound, tracking_of
 
 __all__ = ["Planner", "PlannerSettings", "plan"]
 
@@ -81,6 +82,11 @@ class PlannerSettings(CheckSettings):
         super().__post_init__()
         if not 0 < self.delta < 1:
             raise SettingsError(f"delta must be in (0, 1), got {self.delta}")
+        if not all(isinstance(count, numbers.Integral) for count in (self.n_iterations, self.n_refinements)):
+            raise SettingsError(
+                f"n_iterations and n_refinements must be whole numbers, "
+                f"got {self.n_iterations!r} and {self.n_refinements!r}"
+            )
         if not (1 <= self.n_iterations <= 1_000_000 and self.n_refinements >= 0):
             raise SettingsError(
                 f"n_iterations must be in [1, 1e6] and n_refinements not negative, "
@@ -119,7 +125,8 @@ class Planner:
         field: where to plan, built for the settings' delta.
         settings: of search, test and refinement; their budget is that of each ``plan``.
         seed: of all that is random.
-        body, tracking: of the robot.
+        body: of the robot.
+        tracking: gamma; that of the settings if None and they have one (``MotionSettings``), else the paper's line.
 
     Raises:
         SettingsError: there is no goal, the field was built for another delta, or the margin is beyond its reach.
@@ -139,7 +146,7 @@ class Planner:
             raise SettingsError("a planner needs at least one goal")
         self.settings, self.seed = settings, seed
         self._body = body or ToolBody()
-        self._margin_m = float((tracking or TrackingBound()).error_m(settings.v_min_mps)) + settings.reserve_m
+        self._margin_m = float(tracking_of(settings, tracking).error_m(settings.v_min_mps)) + settings.reserve_m
         self._start, self._goals = start.as_array(), np.array([goal.as_array() for goal in goals])
         self._goals[:, 3] = self._start[3] + wrap_to_pi(self._goals[:, 3] - self._start[3])
         self._look(field)
@@ -300,7 +307,7 @@ def plan(
     body: ToolBody | None = None,
     tracking: TrackingBound | None = None,
 ) -> PlanResult:
-    """The one result of a ``Planner`` with one goal.
+    """The one result of a ``Planner`` with one goal; ``tracking`` as there.
 
     Raises:
         SettingsError: the field was built for another delta, or the margin is beyond the field's reach.

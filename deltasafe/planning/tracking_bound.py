@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["TrackingBound"]
+__all__ = ["TrackingBound", "tracking_of"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,3 +36,14 @@ class TrackingBound:
         if self.gamma1_s == 0.0:
             return np.where(np.asarray(error_m) >= self.gamma0_m, np.inf, 0.0)
         return np.asarray(room / self.gamma1_s)
+
+
+def tracking_of(settings: object, tracking: TrackingBound | None) -> TrackingBound:
+    """Return ``tracking`` if given, else the bound of the settings, else the paper's line.
+
+    ``MotionSettings`` has a bound, the settings of a search or a schedule alone have none.
+    """
+    if tracking is not None:
+        return tracking
+    of_settings = getattr(settings, "tracking", None)
+    return of_settings if isinstance(of_settings, TrackingBound) else TrackingBound()

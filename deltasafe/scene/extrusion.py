@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled, kernel
 from deltasafe.errors import SettingsError
+from deltasafe.geometry import as_rows
 from deltasafe.scene.camera import Camera
 from deltasafe.scene.occupancy import OccupancyGrid
 
@@ -74,7 +75,7 @@ def grid_from_image(
     if camera.position_m[2] <= table_z_m + layers * settings.voxel_m:
         raise SettingsError(f"the camera at z = {camera.position_m[2]} m must be above the hand and its margin")
     corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]])
-    seen = camera.pixel_to_plane(corners.astype(np.float64), table_z_m)[:, :2]
+    seen = as_rows(camera.pixel_to_plane(corners.astype(np.float64), table_z_m), 3, "what the camera sees")[:, :2]
     origin_m = np.append(np.floor(seen.min(axis=0) / settings.voxel_m) * settings.voxel_m, table_z_m)
     columns = np.ceil((seen.max(axis=0) - origin_m[:2]) / settings.voxel_m).astype(int)
     nx, ny = (int(count) for count in columns)

@@ -9,10 +9,14 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.geometry import as_rows
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import atomic_file
 
 __all__ = ["OccupancyGrid"]
+
+LEAST_VOXEL_M = 1e-5
+"""Smallest edge of a voxel: the inverse must stay a number that look-ups can multiply by."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +32,8 @@ class OccupancyGrid:
         voxel_m: edge of a voxel.
 
     Raises:
-        SettingsError: wrong shapes, or a value outside [0, 1].
+        SettingsError: wrong shapes, a value outside [0, 1], a voxel smaller than 1e-5 m, or a corner farther than
+            1000 m from 0.
     """
 
     p_occupied: NDArray[np.float32]
@@ -44,8 +49,9 @@ class OccupancyGrid:
             raise SettingsError("p_occupied must lie in [0, 1]; NaN is not a probability")
         if origin_m.shape != (3,) or not np.isfinite(origin_m).all():
             raise SettingsError(f"origin_m must be a finite point, got {origin_m.tolist()}")
-        if not (math.isfinite(self.voxel_m) and self.voxel_m > 0):
-            raise SettingsError(f"voxel_m must be a positive length in meters, got {self.voxel_m}")
+        if not (math.isfinite(self.voxel_m) and self.voxel_m >= LEAST_VOXEL_M):
+            raise SettingsError(f"voxel_m must be a length of at least {LEAST_VOXEL_M:g} meters, got {self.voxel_m}")
+        as_rows([origin_m, origin_m + self.voxel_m * np.array(p_occupied.shape)], 3, "the corners of the grid")
         p_occupied.setflags(write=False)
         origin_m.setflags(write=False)
         object.__setattr__(self, "p_occupied", p_occupied)
@@ -58,8 +64,12 @@ class OccupancyGrid:
         return np.asarray(self.origin_m + self.voxel_m * np.array(self.p_occupied.shape))
 
     def at(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
-        """p_occupied (N,) float32 of world points (N, 3)."""
-        points_m = np.asarray(points_m, dtype=np.float64)
+        """p_occupied (N,) float32 of world points (N, 3).
+
+        Raises:
+            SettingsError: a point is not finite, or farther than 1000 m from 0.
+        """
+        points_m = as_rows(points_m, 3, "points_m")
         index = np.floor((points_m - self.origin_m) / self.voxel_m).astype(np.int64)
         inside = ((index >= 0) & (index < self.p_occupied.shape)).all(axis=1)
         p_occupied = np.where(index[:, 2] >= self.p_occupied.shape[2], np.float32(0), np.float32(1))
@@ -73,9 +83,15 @@ class OccupancyGrid:
 
         Args:
             rotations: (N, 3, 3) world from body; positions_m: (N, 3).
+
+        Raises:
+            SettingsError: wrong shapes, or a value that is not finite or too large.
         """
-        arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (points_m, rotations, positions_m))
-        return np.asarray(_most_on(self.p_occupied, self.origin_m, self.voxel_m, *arrays))
+        points, positions = as_rows(points_m, 3, "points_m"), as_rows(positions_m, 3, "positions_m")
+        if np.shape(rotations) != (len(positions), 3, 3):
+            raise SettingsError(f"rotations must have shape ({len(positions)}, 3, 3), got {np.shape(rotations)}")
+        turns = as_rows(np.reshape(rotations, (-1, 3)), 3, "rows of rotations").reshape(-1, 3, 3)
+        return np.asarray(_most_on(self.p_occupied, self.origin_m, self.voxel_m, points, turns, positions))
 
     def save(self, file: str | pathlib.Path) -> None:
         """Write as a compressed ``.npz``, atomically."""

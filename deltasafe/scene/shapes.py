@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.scene.occupancy import OccupancyGrid
+from deltasafe.geometry import as_rows
+from deltasafe.scene.occupancy import LEAST_VOXEL_M, OccupancyGrid
 
 __all__ = ["Cuboid", "Shape", "Sphere", "grid_from_shapes", "p_occupied_near"]
 
@@ -25,6 +26,7 @@ class Sphere:
     radius_m: float
 
     def __post_init__(self) -> None:
+        as_rows([self.center_m], 3, "center_m")
         if not (math.isfinite(self.radius_m) and self.radius_m > 0):
             raise SettingsError(f"radius_m must be positive, got {self.radius_m}")
 
@@ -47,8 +49,11 @@ class Cuboid:
     yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
+        as_rows([self.center_m], 3, "center_m")
         if not all(math.isfinite(value) and value > 0 for value in self.half_extents_m):
             raise SettingsError(f"half_extents_m must be positive, got {self.half_extents_m}")
+        if not math.isfinite(self.yaw_rad):
+            raise SettingsError(f"yaw_rad must be finite, got {self.yaw_rad}")
 
     @property
     def reach_m(self) -> float:
@@ -72,6 +77,9 @@ def p_occupied_near(shapes: Sequence[Shape], decay_m: float, points_m: Array, sl
     shortened by it, which bounds the probability of all points within that distance.
     """
     _check_decay(decay_m)
+    points_m = as_rows(points_m, 3, "points_m")
+    if not (math.isfinite(slack_m) and slack_m >= 0):
+        raise SettingsError(f"slack_m must not be negative, got {slack_m}")
     p_free = np.ones(len(points_m))
     for shape in shapes:
         p_free *= _p_free(shape, decay_m, points_m, slack_m)
@@ -96,9 +104,11 @@ def grid_from_shapes(
     Raises:
         SettingsError: the corners do not span a box, or ``decay_m`` or ``voxel_m`` is outside its domain.
     """
-    lower, upper = np.asarray(lower_m, dtype=np.float64), np.asarray(upper_m, dtype=np.float64)
-    if not (upper > lower).all() or not voxel_m > 0:
-        raise SettingsError(f"a grid needs upper > lower and voxel_m > 0, got {lower_m}, {upper_m}, {voxel_m}")
+    lower, upper = as_rows((lower_m, upper_m), 3, "the corners of the grid")
+    if not (upper > lower).all() or not LEAST_VOXEL_M <= voxel_m < math.inf:
+        raise SettingsError(
+            f"a grid needs upper > lower and voxel_m >= {LEAST_VOXEL_M:g}, got {lower_m}, {upper_m}, {voxel_m}"
+        )
     _check_decay(decay_m)
     counts = np.ceil((upper - lower) / voxel_m - 1e-9).astype(int)
     slack_m = voxel_m * math.sqrt(3) / 2

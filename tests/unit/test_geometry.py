@@ -58,6 +58,26 @@ def test_speed_is_that_of_the_position_alone():
     assert trajectory.duration_s == 1.0
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1e300, 1001.0])
+def test_paths_and_trajectories_hold_no_value_that_is_not_finite_or_too_large(value):
+    rows = np.zeros((2, 4))
+    broken = rows.copy()
+    broken[1, 3] = value
+    with pytest.raises(SettingsError, match=r"poses must be finite and within 1000 .* in row 1"):
+        PosePath(broken)
+    for poses, velocities in ((broken, rows), (rows, broken)):
+        with pytest.raises(SettingsError, match="must be finite and within 1000"):
+            Trajectory(np.array([0.0, 1.0]), poses, velocities)
+    with pytest.raises(SettingsError, match="time_s"):
+        Trajectory(np.array([0.0, value * 1e9]), rows, rows)
+
+
+@pytest.mark.parametrize("poses", [None, "path", [[0, 0, 0, 0], [0, 0]], [["a", 0, 0, 0]], np.zeros(4), 3.0])
+def test_what_is_no_array_of_poses_is_refused(poses):
+    with pytest.raises(SettingsError, match="poses must"):
+        PosePath(poses)
+
+
 @pytest.mark.parametrize("far", [(1e300, 0.0, 0.0), (0.0, -2000.0, 0.0), (0.0, 0.0, 0.0, 1e9)])
 def test_a_pose_farther_than_any_robot_is_refused(far):
     with pytest.raises(SettingsError, match="within 1000 meters"):

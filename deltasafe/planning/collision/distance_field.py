@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled, inlined, kernel
 from deltasafe.errors import SettingsError
+from deltasafe.geometry import as_rows
 from deltasafe.planning.collision.distance_transform import (
     MOST_VOXELS,
     squared_distance_in_slabs,
@@ -197,9 +198,11 @@ class DistanceField:
         """Lower bound (N,) of the distance of points (N, 3) to the unsafe set, table included; <= 0 if unsafe.
 
         At most one voxel diagonal below the true distance, and capped at ``REACH_M``.
+
+        Raises:
+            SettingsError: a point is not finite, or farther than 1000 m from 0.
         """
-        points_m = np.ascontiguousarray(points_m, dtype=np.float64)
-        return np.asarray(_clearances(self.arrays, points_m))
+        return np.asarray(_clearances(self.arrays, as_rows(points_m, 3, "points_m")))
 
 
 @inlined

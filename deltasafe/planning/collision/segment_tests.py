@@ -2,12 +2,14 @@
 
 import dataclasses
 import math
+import numbers
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import SettingsError
+from deltasafe.geometry import as_rows
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.clearance import clearance_of_pose
 from deltasafe.planning.collision.clearance_tables import clearance_tables_of, table_clearance_m
@@ -54,8 +56,8 @@ class CheckSettings:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise SettingsError(f"method must be one of {METHODS}, got {self.method!r}")
-        if not 1 <= self.n_samples <= MOST_SAMPLES:
-            raise SettingsError(f"n_samples must be between 1 and {MOST_SAMPLES}, got {self.n_samples}")
+        if not (isinstance(self.n_samples, numbers.Integral) and 1 <= self.n_samples <= MOST_SAMPLES):
+            raise SettingsError(f"n_samples must be a whole number from 1 to {MOST_SAMPLES}, got {self.n_samples}")
         for name in ("delta_p_m", "resolution_m"):
             if not (math.isfinite(getattr(self, name)) and 1e-5 <= getattr(self, name) <= 0.1):
                 raise SettingsError(f"{name} must be between 1e-5 and 0.1 m, got {getattr(self, name)}")
@@ -96,20 +98,25 @@ def segment_test(
 
 
 def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
-    """Whether the segment between two poses (4,), yaw turning linearly, passes; symmetric in its ends."""
-    return bool(ask_segment(test, np.asarray(start, dtype=np.float64).copy(), np.asarray(end, dtype=np.float64).copy()))
+    """Whether the segment between two poses (4,), yaw turning linearly, passes; symmetric in its ends.
+
+    Raises:
+        SettingsError: a pose is not finite, or farther than 1000 m or 1000 rad from 0.
+    """
+    ends = as_rows((start, end), 4, "the poses of a segment")
+    return bool(ask_segment(test, ends[0], ends[1]))
 
 
 def body_clearance_m(test: SegmentTest, poses: Array) -> Array:
     """d_o (N,) of poses (N, 4): lower bound of the distance of the body to the unsafe set, table included.
 
     Raises:
-        SettingsError: the test is a sampled one, which knows no distances.
+        SettingsError: the test is a sampled one, which knows no distances; or a pose is not finite, or farther than
+            1000 m or 1000 rad from 0.
     """
     if isinstance(test, SampledTest):
         raise SettingsError("method sampled knows no clearances; make the test with method exact or continuous")
-    poses = np.ascontiguousarray(poses, dtype=np.float64)
-    return np.asarray(_clearances(test.certificates, test.around, test.body, poses))
+    return np.asarray(_clearances(test.certificates, test.around, test.body, as_rows(poses, 4, "poses")))
 
 
 @compiled

@@ -12,6 +12,7 @@ from deltasafe.errors import SettingsError
 __all__ = ["COSTS", "LineCost", "area_m2", "line_cost", "path_cost", "pose_distance"]
 
 COSTS = ("root", "squared", "area")
+MOST_WEIGHT = 1e6
 
 Array = NDArray[np.float64]
 
@@ -38,18 +39,30 @@ def line_cost(
     """Line cost by name: ``root``, ``squared`` or ``area``.
 
     Raises:
-        SettingsError: an unknown name, or a weight that is not positive.
+        SettingsError: an unknown name, a weight that is not positive and at most 1e6, or a table that is not finite.
     """
     if kind not in COSTS:
         raise SettingsError(f"cost must be one of {COSTS}, got {kind!r}")
-    if not (rotation_weight_m2 > 0 and length_weight_m > 0):
-        raise SettingsError(f"weights must be positive, got {rotation_weight_m2} and {length_weight_m}")
+    # neighbors are compared by squares in single precision, which larger weights would overflow
+    if not (0 < rotation_weight_m2 <= MOST_WEIGHT and 0 < length_weight_m <= MOST_WEIGHT):
+        raise SettingsError(
+            f"weights must be positive and at most {MOST_WEIGHT:g}, got {rotation_weight_m2} and {length_weight_m}"
+        )
+    if not math.isfinite(table_z_m):
+        raise SettingsError(f"table_z_m must be finite, got {table_z_m}")
     return LineCost(COSTS.index(kind), float(rotation_weight_m2), float(table_z_m), float(length_weight_m))
 
 
 def path_cost(cost: LineCost, poses: Array) -> float:
-    """Sum of the line costs of a polyline (K, 4)."""
-    return float(_path_cost(cost, np.ascontiguousarray(poses, dtype=np.float64)))
+    """Sum of the line costs of a polyline (K, 4).
+
+    Raises:
+        SettingsError: another shape.
+    """
+    poses = np.ascontiguousarray(poses, dtype=np.float64)
+    if poses.ndim != 2 or poses.shape[1] != 4:
+        raise SettingsError(f"poses must have shape (K, 4), got {poses.shape}")
+    return float(_path_cost(cost, poses))
 
 
 def area_m2(poses: Array, table_z_m: float) -> float:

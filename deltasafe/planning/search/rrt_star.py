@@ -1,6 +1,7 @@
 """RRT* (Karaman and Frazzoli 2011) over poses (x, y, z, yaw); it knows no probability, only a segment test."""
 
 import math
+import numbers
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
+from deltasafe.geometry import FARTHEST, as_rows
 from deltasafe.planning.search.cost import LineCost
 from deltasafe.planning.search.kernels import Search, SearchParams, begin, copy_points, grow, keep_valid
 from deltasafe.planning.search.neighbors import MANY, empty_neighbors
@@ -19,6 +21,7 @@ __all__ = ["RrtStar", "SearchTree", "grow_tree"]
 Array = NDArray[np.float64]
 NEAR_SETS = ("k", "radius")
 CHUNK = 64
+MOST_NEAR_FACTOR = 1e6
 
 
 class RrtStar:
@@ -44,7 +47,8 @@ class RrtStar:
         many: number of nodes beyond which neighbors are found in a tree; decides the time, not the result.
 
     Raises:
-        SettingsError: start or goals outside the bounds, or a number outside its domain.
+        SettingsError: no goal, a pose that is not finite, start or goals outside the bounds, or a number outside its
+            domain.
     """
 
     def __init__(
@@ -63,12 +67,21 @@ class RrtStar:
         informed: bool = True,
         many: int = MANY,
     ) -> None:
-        ends = np.vstack([np.atleast_2d(goals), np.asarray(start)[None]]).astype(np.float64)
-        self._lower, self._upper = (tuple(float(value) for value in bound) for bound in (lower, upper))
+        ends = np.vstack([as_rows(np.atleast_2d(goals), 4, "goals"), as_rows([start], 4, "start")])
+        if len(ends) < 2:
+            raise SettingsError("a search needs at least one goal")
+        self._lower, self._upper = map(tuple, as_rows((lower, upper), 4, "the bounds of a search").tolist())
         if not ((ends >= self._lower) & (ends <= self._upper)).all():
             raise SettingsError(f"start and goals must lie within {self._lower} and {self._upper}, got {ends.tolist()}")
         if near_set not in NEAR_SETS:
             raise SettingsError(f"near_set must be one of {NEAR_SETS}, got {near_set!r}")
+        if not 0 < steering_range_m <= FARTHEST:
+            raise SettingsError(f"steering_range_m must be in (0, {FARTHEST:g}], got {steering_range_m}")
+        if not (0 <= goal_bias < 1 and 0 < near_factor <= MOST_NEAR_FACTOR):
+            raise SettingsError(
+                f"goal_bias must be in [0, 1) and near_factor in (0, {MOST_NEAR_FACTOR:g}], "
+                f"got {goal_bias} and {near_factor}"
+            )
         self.constraint, self.cost = constraint, cost
         self._ends, self._many = ends, int(many)
         self._numbers = SearchParams(
@@ -96,10 +109,9 @@ class RrtStar:
         The clock is read between pieces of 64 samples.
 
         Raises:
-            SettingsError: neither a number nor a deadline.
+            SettingsError: neither a number nor a deadline, a number that is not whole, or a deadline that is NaN.
         """
-        if n_iterations is None and deadline_s == math.inf:
-            raise SettingsError("a search needs a number of iterations or a deadline")
+        require_budget("a search", n_iterations, deadline_s)
         first = int(self._search.counts[1])
         last = first + n_iterations if n_iterations is not None else None
         while last is None or self._search.counts[1] < last:
@@ -182,6 +194,18 @@ def grow_tree(
     search = RrtStar(constraint, cost, start, goal, lower, upper, seed, **options)
     search.grow(n_iterations)
     return search.tree
+
+
+def require_budget(what: str, count: int | None, deadline_s: float) -> None:
+    """Refuse a budget that never ends: no count and no deadline, 10.5 steps, or a deadline that is NaN.
+
+    Raises:
+        SettingsError: such a budget.
+    """
+    if count is not None and not isinstance(count, numbers.Integral):
+        raise SettingsError(f"{what} needs a whole number of steps, got {count!r}")
+    if math.isnan(deadline_s) or (count is None and deadline_s == math.inf):
+        raise SettingsError(f"{what} needs a number of steps or a deadline, got {count} and {deadline_s}")
 
 
 def _radius_constant_m(rotation_weight_m2: float, lower: Sequence[float], upper: Sequence[float]) -> float:

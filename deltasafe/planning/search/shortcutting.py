@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.counter_rng import mixed, normal_pair, uniform
 from deltasafe.compute.numba_cache import kernel
-from deltasafe.errors import SettingsError
+from deltasafe.geometry import as_rows
 from deltasafe.planning.collision.segment_query import as_pose, ask_segment, segment_is_safe
 from deltasafe.planning.search.cost import LineCost, path_cost, pose_distance, segment_cost
+from deltasafe.planning.search.rrt_star import require_budget
 
 __all__ = ["refine_path"]
 
@@ -53,16 +54,16 @@ def refine_path(
         deadline_s, clock: no change is begun once the clock is there; read every 16 steps.
 
     Raises:
-        SettingsError: neither steps nor a deadline.
+        SettingsError: neither steps nor a deadline, steps that are no whole number, or poses or bounds that are not
+            finite.
     """
-    if n_steps is None and deadline_s == math.inf:
-        raise SettingsError("a refinement needs a number of steps or a deadline")
-    poses = np.ascontiguousarray(poses, dtype=np.float64)
+    require_budget("a refinement", n_steps, deadline_s)
+    poses = as_rows(poses, 4, "poses")
     if not 2 <= len(poses) <= MOST_VERTICES - 2 or (n_steps is not None and n_steps < 1):
         return poses
     path, count = np.empty((MOST_VERTICES, 4)), len(poses)
     path[:count] = poses
-    bounds = tuple(map(float, lower)), tuple(map(float, upper))
+    bounds = tuple(map(tuple, as_rows((lower, upper), 4, "the bounds of a refinement").tolist()))
     began, step = clock(), 0
     while n_steps is None or step < n_steps:
         now = clock() if deadline_s < math.inf else began

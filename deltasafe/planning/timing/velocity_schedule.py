@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from deltasafe.errors import PlanningError, SettingsError
-from deltasafe.geometry import PosePath, Trajectory
+from deltasafe.geometry import LONGEST_S, PosePath, Trajectory
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField
 from deltasafe.planning.collision.segment_tests import (
@@ -21,12 +21,14 @@ from deltasafe.planning.collision.segment_tests import (
     segment_test,
 )
 from deltasafe.planning.timing.corner_blending import SmoothPath, blend_corners
-from deltasafe.planning.tracking_bound import TrackingBound
+from deltasafe.planning.tracking_bound import TrackingBound, tracking_of
 
 __all__ = ["SpeedProfile", "VelocitySettings", "schedule", "schedule_at_top_speed"]
 
 Array = NDArray[np.float64]
 CHORD_TOLERANCE_M = 0.00005
+LEAST_SPACING_M = 1e-5
+MOST_RATE_HZ = 1e5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +58,11 @@ class VelocitySettings:
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value > 0):
                 raise SettingsError(f"{field.name} must be positive, got {value}")
+        if self.spacing_m < LEAST_SPACING_M or self.rate_hz > MOST_RATE_HZ:  # arrays of them must fit into memory
+            raise SettingsError(
+                f"spacing_m must be at least {LEAST_SPACING_M:g} m and rate_hz at most {MOST_RATE_HZ:g}, "
+                f"got {self.spacing_m} and {self.rate_hz}"
+            )
         if self.v_max_mps < self.v_min_mps:
             raise SettingsError(f"v_max_mps must be at least v_min_mps {self.v_min_mps}, got {self.v_max_mps}")
 
@@ -93,18 +100,26 @@ def schedule(
     settings: VelocitySettings,
     body: ToolBody | None = None,
     tracking: TrackingBound | None = None,
-    rotation_weight_m2: float = 0.01,
+    rotation_weight_m2: float | None = None,
 ) -> tuple[Trajectory, SpeedProfile]:
     """Trajectory along a path, from rest to rest, and the profile behind it.
 
     v*(s) is the largest v with gamma(v) <= d_o(s), in [v_min, v_max] (section IV-C); corners are blended, and the
     blended path is verified along its whole length before anything is timed.
 
+    Args:
+        tracking: gamma; that of the settings if None and they have one (``MotionSettings``), else the paper's line.
+        rotation_weight_m2: of the path's length; that of the settings if None and they have one, else 0.01.
+
     Raises:
         PlanningError: somewhere the path is not clear by gamma(v_min); names the place, pose and clearance.
-        SettingsError: not even a standing robot has a tracking error within the field's reach.
+        SettingsError: not even a standing robot has a tracking error within the field's reach, or the weight is not
+            positive and finite.
     """
-    body, tracking = body or ToolBody(), tracking or TrackingBound()
+    body, tracking = body or ToolBody(), tracking_of(settings, tracking)
+    if rotation_weight_m2 is None:
+        rotation_weight_m2 = float(getattr(settings, "rotation_weight_m2", 0.01))
+    _require_weight(rotation_weight_m2)
     margin_m = float(tracking.error_m(settings.v_min_mps))
     test = segment_test(field, body, margin_m, CheckSettings())
     if len(path) == 1:
@@ -149,8 +164,9 @@ def schedule_at_top_speed(
         is_safe: whether the arc of a blended corner, given by poses (M, 4) along it, may be driven.
 
     Raises:
-        SettingsError: a path of a single pose, which has no speed.
+        SettingsError: a path of a single pose, which has no speed; or a weight that is not positive and finite.
     """
+    _require_weight(rotation_weight_m2)
     if len(path) == 1:
         raise SettingsError("a path of a single pose has no top speed")
     curve = blend_corners(
@@ -159,6 +175,11 @@ def schedule_at_top_speed(
     rho_max_m = (body or ToolBody()).rho_max_m
     cell_mps = np.full(len(curve.length) - 1, settings.v_max_mps)
     return _sampled(curve, _rates(curve, cell_mps, settings, rho_max_m, rotation_weight_m2), settings)
+
+
+def _require_weight(rotation_weight_m2: float) -> None:
+    if not 0 < rotation_weight_m2 < math.inf:
+        raise SettingsError(f"rotation_weight_m2 must be positive and finite, got {rotation_weight_m2}")
 
 
 def _rates(curve: SmoothPath, cell_mps: Array, settings: VelocitySettings, rho_max_m: float, weight_m2: float) -> Array:
@@ -186,6 +207,8 @@ def _sampled(curve: SmoothPath, rate: Array, settings: VelocitySettings) -> Traj
     """The timed path at the controller's rate. The duration is stretched to a whole number of periods."""
     cells = np.diff(curve.length)
     times = np.append(0.0, np.cumsum(2 * cells / (rate[:-1] + rate[1:])))
+    if not times[-1] <= LONGEST_S:
+        raise PlanningError(f"the motion would take {times[-1]:.3g} s, {LONGEST_S:g} s are allowed; raise v_min_mps")
     periods = max(1, math.ceil(times[-1] * settings.rate_hz - 1e-9))
     stretch = periods / settings.rate_hz / times[-1]
     time_s = np.arange(periods + 1) / settings.rate_hz

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import SettingsError
+from deltasafe.geometry import as_rows
 from deltasafe.studies.baselines.obstacles import GaussianObstacle, obstacle_arrays
 
 __all__ = [
@@ -49,13 +50,13 @@ def collision_probability(
     probability that N(mean, covariance) puts the center into the obstacle grown by the ball.
 
     Raises:
-        SettingsError: an unknown method.
+        SettingsError: an unknown method, or a point that is not finite or farther than 1000 m from 0.
     """
     if method not in METHODS:
         raise SettingsError(f"method must be one of {METHODS}, got {method!r}")
     kind = METHODS.index(method)
     arrays = obstacle_arrays(obstacles, robot_radius_m, sigma_level if kind == 2 else 0.0)
-    points_m = np.ascontiguousarray(points_m, dtype=np.float64)
+    points_m = as_rows(points_m, 3, "points_m")
     return np.asarray(_table(kind, numeric_search, arrays.mean_m, arrays.map, arrays.spread, points_m))
 
 

@@ -222,7 +222,7 @@ def _joint(test, start, end, pieces):  # type: ignore[no-untyped-def]
             if not numbers.cull or x * x + y * y + z * z <= (test.band_m[n, 1] * (1.0 + 1e-9)) ** 2:
                 p = max(_risk_at(test, n, x, y, z), p)
             p_free *= 1.0 - p
-            if 1.0 - p_free > numbers.delta:
+            if not 1.0 - p_free <= numbers.delta:  # NaN is refused
                 return False
     return True
 

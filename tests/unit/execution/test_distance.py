@@ -100,3 +100,21 @@ def test_bad_meshes_are_refused():
         MeshDistance(np.zeros((3, 3)), np.array([[0, 1, 3]]))
     with pytest.raises(SettingsError, match="triangles"):
         MeshDistance(np.zeros((3, 3)), np.zeros((0, 3), dtype=int))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+def test_poses_and_points_that_are_not_finite_are_refused(value):
+    """Every comparison with NaN is false: the tool would seem to be infinitely far."""
+    mesh = MeshDistance(*MESH)
+    for axis in range(3):
+        place = np.zeros(3)
+        place[axis] = value
+        with pytest.raises(SettingsError, match="position_m"):
+            mesh.to_tool(BODY, place, np.eye(3))
+        with pytest.raises(SettingsError, match="points_m"):
+            mesh.to_points(place[None])
+    with pytest.raises(SettingsError, match="rotation"):
+        mesh.to_tool(BODY, np.zeros(3), np.full((3, 3), value))
+    for wrong in (np.zeros(2), np.zeros((1, 3)), 0.0):
+        with pytest.raises(SettingsError, match="position_m"):
+            mesh.to_tool(BODY, wrong, np.eye(3))

@@ -8,7 +8,7 @@ import multiprocessing
 import numpy as np
 import pytest
 
-from deltasafe.errors import SettingsError, StaleImageError
+from deltasafe.errors import PlanningError, SettingsError, StaleImageError
 from deltasafe.execution import (
     PHASES,
     CameraWatch,
@@ -127,6 +127,119 @@ def test_where_the_planner_may_go_the_monitor_stops_nothing_and_no_farther_than_
     assert only_by_the_test > 10
 
 
+SOUND = ArmState(np.zeros(7), np.zeros(7), np.array([0.0, 0.0, 0.12]), np.array([0.0, 0.0, 0.0, 1.0]))
+TARGET = TaskReference(SOUND.tool_position_m, SOUND.tool_quaternion, np.zeros(6), np.zeros(6), np.zeros(7), np.zeros(7))
+EMPTY = DistanceField.build(OccupancyGrid(np.zeros((80, 80, 20), np.float32), np.array([-0.2, -0.2, 0.0]), 0.005), 0.05)
+
+
+def watching(field=None, bound=None):
+    return Monitor(bound or TrackingBound(), SETTINGS, IIWA14_LIMITS, BODY, field, None)
+
+
+def with_value(record, name, place, value):
+    changed = getattr(record, name).copy()
+    changed[place] = value
+    return dataclasses.replace(record, **{name: changed})
+
+
+@pytest.mark.parametrize("field", [None, EMPTY], ids=["no field", "field"])
+@pytest.mark.parametrize("bound", [TrackingBound(), TrackingBound(1e300)], ids=["bound", "no bound"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(ArmState)])
+def test_a_measurement_that_is_not_finite_stops(name, value, bound, field):
+    assert watching(field, bound).violation(0.0, SOUND, TARGET, is_planned=True) == ""
+    for place in range(len(getattr(SOUND, name))):
+        broken = with_value(SOUND, name, place, value)
+        if name == "joint_positions_rad" and np.isfinite(value):  # the monitor does not watch joint ranges
+            continue
+        assert watching(field, bound).violation(0.0, broken, TARGET, is_planned=True), (name, place)
+
+
+@pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0)])
+def test_a_measured_quaternion_that_is_no_rotation_stops(quaternion):
+    """All zeros, what many sensors deliver after a fault, would be read as a perfect rotation."""
+    state = dataclasses.replace(SOUND, tool_quaternion=np.array(quaternion))
+    assert "no unit quaternion" in watching().violation(0.0, state, TARGET, is_planned=True)
+
+
+@pytest.mark.parametrize(("name", "value"), [("position_m", np.nan), ("quaternion", np.nan), ("twist", np.inf)])
+def test_a_target_that_is_not_finite_stops(name, value):
+    target = with_value(TARGET, name, 0, value)
+    assert watching(EMPTY).violation(0.0, SOUND, target, is_planned=True)
+
+
+@pytest.mark.parametrize("time_s", [np.nan, np.inf, -np.inf, 0.5, 1.0])
+def test_a_clock_that_does_not_advance_stops(time_s):
+    monitor = watching()
+    assert monitor.violation(1.0, SOUND, TARGET, is_planned=True) == ""
+    assert "clock" in monitor.violation(time_s, SOUND, TARGET, is_planned=True)
+
+
+class BrokenSensor(FloatingTool):
+    """Measures a constant from the given step on; ``for_steps`` later it is sound again."""
+
+    def __init__(self, name, value, step, for_steps=10**9):
+        super().__init__()
+        self._broken = name, value, step, step + for_steps
+        self._step, self.braked_at = -1, None
+
+    def reset(self, joint_positions_rad):
+        super().reset(joint_positions_rad)
+        self._step = -1
+
+    def step(self, torques_nm):
+        assert np.isfinite(torques_nm).all()
+        return super().step(torques_nm)
+
+    def brake(self):
+        self.braked_at = self._step if self.braked_at is None else self.braked_at
+        super().brake()
+
+    def state(self):
+        self._step += 1
+        name, value, begin, end = self._broken
+        state = super().state()
+        return with_value(state, name, 0, value) if begin <= self._step < end else state
+
+
+@pytest.mark.parametrize("field", [None, EMPTY], ids=["no field", "field"])
+@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(ArmState)])
+@pytest.mark.parametrize(("step", "for_steps"), [(900, 10**9), (900, 1), (1, 10**9), (0, 10**9)])
+def test_an_arm_that_measures_nan_is_stopped_at_once(hand, name, step, for_steps, field):
+    arm = BrokenSensor(name, np.nan, step + (step > 0), for_steps)
+    if step == 0:
+        with pytest.raises(PlanningError, match="cannot start"):
+            execute(ABOVE, hand, BODY, SETTINGS, 0, field=field, make_arm=lambda seed: arm)
+        return
+    stopped = execute(ABOVE, hand, BODY, SETTINGS, 0, field=field, make_arm=lambda seed: arm)
+    assert "not finite" in stopped.stop_reason
+    assert arm.braked_at <= step + 1 + SETTINGS.brake_delay_s / arm.control_period_s
+    assert np.isfinite(stopped.tool_positions_m).all()
+    assert np.ptp(stopped.tool_positions_m[stopped.time_s > (step + 40) * arm.control_period_s], axis=0).max() < 1e-3
+
+
+def test_a_model_that_gives_no_torques_stops_the_arm(hand):
+    class NoModel(FloatingTool):
+        def dynamics(self, state):
+            model = super().dynamics(state)
+            return dataclasses.replace(model, bias_nm=np.full(6, np.nan)) if state.tool_position_m[0] > 0 else model
+
+    stopped = execute(ABOVE, hand, BODY, SETTINGS, 0, make_arm=lambda seed: NoModel())
+    assert "no torques" in stopped.stop_reason
+    assert np.isfinite(stopped.torques_nm).all()
+
+
+def test_a_height_that_is_not_finite_is_refused(hand):
+    with pytest.raises(SettingsError, match="unsafe_below_m"):
+        run(hand, unsafe_below_m=float("nan"))
+
+
+def test_a_recording_holds_no_nan(hand):
+    seen = execute(ABOVE, hand, BODY, SETTINGS, 0, make_arm=lambda seed: FloatingTool())
+    with pytest.raises(SettingsError, match="tool_positions_m must be finite"):
+        with_value(seen, "tool_positions_m", 0, np.nan)
+
+
 def sighting(number, taken_s):
     return ImageStamp.of(np.full((2, 2, 3), number, np.uint8), taken_s)
 
@@ -171,6 +284,46 @@ def test_an_arm_does_not_start_on_an_old_image_or_beside_a_frozen_camera(hand):
         watch(lambda now_s: sighting(0, now_s))(hand)
     with pytest.raises(StaleImageError, match="camera's newest image is 2"):
         watch(lambda now_s: sighting(0, 8.0))(hand)
+
+
+UNIX_S = 1.7e9
+
+
+@pytest.mark.parametrize("starts_s", [0.0, 7.9, np.nan, np.inf, -np.inf])
+def test_an_arm_does_not_start_on_an_image_from_the_future(hand, starts_s):
+    """Unix stamps beside a clock that starts at 0: the age is negative, and would never be too old."""
+    with pytest.raises(StaleImageError, match=r"camera's clock|old"):
+        watch(live, starts_s)(hand)
+
+
+def test_an_arm_does_not_start_beside_a_camera_whose_clock_is_ahead(hand):
+    with pytest.raises(StaleImageError, match=r"ahead of the clock.*by the camera's clock"):
+        watch(lambda now_s: live(now_s + UNIX_S))(hand)
+
+
+def test_a_camera_whose_clock_jumps_ahead_stops_the_arm(hand):
+    jumped = watch(lambda now_s: live(now_s if now_s < 11.0 else now_s + 10.0))(hand)
+    assert "ahead of the clock" in jumped.stop_reason
+    assert 1.0 <= stopped_at_s(jumped) <= 1.02
+
+
+def test_clocks_that_differ_by_milliseconds_are_borne(hand):
+    assert watch(lambda now_s: live(now_s + 0.04))(hand).completed
+
+
+def test_a_camera_whose_stamps_freeze_stops_the_arm(hand):
+    frames = itertools.count(1)
+    frozen = watch(lambda now_s: live(now_s) if now_s < 11.0 else sighting(next(frames) % 251, 11.0))(hand)
+    assert "old" in frozen.stop_reason
+    assert 1.5 <= stopped_at_s(frozen) <= 1.52
+
+
+@pytest.mark.parametrize("stamp", [np.nan, np.inf, -np.inf])
+def test_a_stamp_that_is_not_finite_stops_the_arm(hand, stamp):
+    with pytest.raises(StaleImageError, match="unusable"):
+        watch(lambda now_s: sighting(1, stamp))(hand)
+    broken = watch(lambda now_s: live(now_s) if now_s < 11.0 else sighting(1, stamp))(hand)
+    assert "taken_s must be a finite time" in broken.stop_reason
 
 
 def test_the_same_seed_gives_the_same_digest_in_three_processes(hand):

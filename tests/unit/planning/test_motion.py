@@ -2,13 +2,26 @@ import dataclasses
 import json
 import pathlib
 
+import numpy as np
 import pytest
 
 from deltasafe.compute import numba_cache
-from deltasafe.errors import DataError
+from deltasafe.errors import DataError, PlanningError
 from deltasafe.geometry import Pose
 from deltasafe.io.records import from_json
-from deltasafe.planning import MotionSettings, PlannedMotion, PlanStatus, ToolBody, plan_motion
+from deltasafe.planning import (
+    DistanceField,
+    MotionSettings,
+    PlannedMotion,
+    Planner,
+    PlannerSettings,
+    PlanStatus,
+    ToolBody,
+    TrackingBound,
+    plan,
+    plan_motion,
+    schedule,
+)
 from deltasafe.presets import PRESETS
 from deltasafe.scene import Cuboid, OccupancyGrid, grid_from_shapes
 
@@ -83,6 +96,42 @@ def test_settings_survive_json_and_hold_the_tool() -> None:
 
 def test_default_settings_are_those_of_the_default_preset() -> None:
     assert MotionSettings() == PRESETS["default"].motion == PRESETS["paper"].motion
+
+
+def test_search_and_schedule_keep_the_tracking_bound_of_their_settings(grid: OccupancyGrid) -> None:
+    """gamma(v_min) is 10 mm + 0.05 s * 0.01 m/s; the reserve is 1 mm."""
+    settings, field = MotionSettings(gamma0_m=0.01, n_iterations=500), DistanceField.build(grid, 0.05)
+    result = plan(START, GOAL, field, settings, 3)
+    assert result.margin_m == pytest.approx(0.0115)
+    assert Planner(START, [GOAL], field, settings, 3).plan()[0].margin_m == pytest.approx(0.0115)
+    assert result.path is not None
+    profile = schedule(result.path, field, settings)[1]
+    assert profile.clearance_m.min() >= 0.0105 - 1e-12
+    close = plan(START, GOAL, field, MotionSettings(n_iterations=500), 3)
+    assert close.margin_m == pytest.approx(0.00245)
+    assert close.path is not None
+    with pytest.raises(PlanningError, match=r"gamma\(v_min\) is 10.50 mm"):
+        schedule(close.path, field, settings)
+
+
+def test_a_given_tracking_bound_goes_before_that_of_the_settings(grid: OccupancyGrid) -> None:
+    settings, field = MotionSettings(gamma0_m=0.01, n_iterations=500), DistanceField.build(grid, 0.05)
+    assert plan(START, GOAL, field, settings, 3, tracking=TrackingBound()).margin_m == pytest.approx(0.0015)
+    motion = plan_motion(grid, START, GOAL, settings, 3)
+    assert motion.result.margin_m == pytest.approx(0.0115)
+    assert motion.tracking == settings.tracking
+    plain = PlannerSettings(n_iterations=500)
+    assert plan(START, GOAL, field, plain, 3).margin_m == pytest.approx(0.0015)
+
+
+def test_the_schedule_takes_the_rotation_weight_of_its_settings(grid: OccupancyGrid, motion: PlannedMotion) -> None:
+    assert motion.result.path is not None
+    field, settings = DistanceField.build(grid, 0.05), MotionSettings(rotation_weight_m2=0.04)
+    of_settings = schedule(motion.result.path, field, settings)[0]
+    given = schedule(motion.result.path, field, settings, rotation_weight_m2=0.04)[0]
+    other = schedule(motion.result.path, field, settings, rotation_weight_m2=0.01)[0]
+    assert np.array_equal(of_settings.poses, given.poses)
+    assert not np.array_equal(of_settings.poses, other.poses)
 
 
 def test_a_cache_written_with_foreign_types_is_not_fatal(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,6 +50,21 @@ def test_what_is_no_probability_is_refused(value: float) -> None:
         grid_from_image(np.full((120, 160), value, np.float32), camera(), 0.0, 0.05)
 
 
+@pytest.mark.parametrize(
+    ("place", "voxel_m"), [((0, 0, 0), 1e-320), ((0, 0, 0), np.inf), ((0, np.nan, 0), 0.1), ((1e300, 0, 0), 0.1)]
+)
+def test_a_grid_that_look_ups_cannot_index_is_refused(place: tuple, voxel_m: float) -> None:
+    """The inverse of 1e-320 is infinite, and 0 times it NaN: an index outside all arrays."""
+    with pytest.raises(SettingsError, match=r"voxel_m|finite"):
+        OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.array(place, dtype=float), voxel_m)
+
+
+@pytest.mark.parametrize("table_z_m", [np.nan, -np.inf, -1e300])
+def test_a_table_that_is_nowhere_is_refused(table_z_m: float) -> None:
+    with pytest.raises(SettingsError):
+        grid_from_image(np.zeros((120, 160), np.float32), camera(), table_z_m, 0.05)
+
+
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
 def test_every_ray_carries_its_pixel_up_to_the_top(tilt: float) -> None:
     """Closed form: the field at any seen point is at least the pixel it projects to, and free above the top."""

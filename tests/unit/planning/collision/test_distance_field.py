@@ -114,6 +114,24 @@ def test_a_smaller_delta_never_gives_more_room(seed: int, one: float, other: flo
         assert (less <= more).all()
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+def test_points_that_are_not_finite_are_refused(value: float) -> None:
+    field = DistanceField.build(OccupancyGrid(np.zeros((4, 4, 4), np.float32), np.zeros(3), 0.01), 0.05)
+    for axis in range(3):
+        points = np.zeros((2, 3))
+        points[1, axis] = value
+        with pytest.raises(SettingsError, match="points_m must be finite"):
+            field.clearance_m(points)
+        with pytest.raises(SettingsError, match="points_m must be finite"):
+            field.grid.at(points)
+        with pytest.raises(SettingsError, match="positions_m must be finite"):
+            field.grid.most_on(np.zeros((1, 3)), np.stack([np.eye(3)] * 2), points)
+    for wrong in (np.zeros((2, 2)), np.zeros(3), np.zeros((2, 4))):
+        with pytest.raises(SettingsError, match="points_m"):
+            field.clearance_m(wrong)
+    assert field.clearance_m(np.array([[900.0, 0.0, 0.02], [0.0, 0.0, -900.0]])).max() < 0
+
+
 @pytest.mark.parametrize("delta", [0.0, 1.0, float("nan")])
 def test_delta_must_be_a_probability(delta: float) -> None:
     grid = OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 0.01)

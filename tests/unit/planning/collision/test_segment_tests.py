@@ -217,8 +217,65 @@ def test_clearance_of_a_body_is_a_lower_bound_and_close(grids: list[OccupancyGri
             assert clearance_m >= there.min() - 0.006
 
 
+BAD = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e12]
+
+
+@pytest.mark.parametrize("value", BAD)
+@pytest.mark.parametrize("method", METHODS)
+def test_poses_that_are_not_finite_or_too_far_are_refused(
+    method: str, value: float, grids: list[OccupancyGrid]
+) -> None:
+    """Compiled look-ups turn them into indices: NaN ended the process, infinity never ended."""
+    test = segment_test(DistanceField.build(grids[0], 0.05), BODY, 0.001, CheckSettings(method=method))
+    sound = np.array([0.0, 0.0, 0.1, 0.0])
+    for axis in range(4):
+        bad = sound.copy()
+        bad[axis] = value
+        for ends in ((sound, bad), (bad, sound), (bad, bad), (bad, -bad)):
+            with pytest.raises(SettingsError, match="must be finite and within 1000"):
+                is_segment_safe(test, *ends)
+        if method != "sampled":
+            with pytest.raises(SettingsError, match="row 1"):
+                body_clearance_m(test, np.array([sound, bad]))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_poses_of_another_shape_are_refused(method: str, grids: list[OccupancyGrid]) -> None:
+    test = segment_test(DistanceField.build(grids[0], 0.05), BODY, 0.001, CheckSettings(method=method))
+    for wrong in (np.zeros(3), np.zeros(5), np.zeros((1, 4)), 0.0, None, "pose", [None] * 4):
+        with pytest.raises(SettingsError, match="poses"):
+            is_segment_safe(test, wrong, wrong)  # type: ignore[arg-type]
+    if method != "sampled":
+        for wrong in (np.zeros(4), np.zeros((2, 3)), np.zeros((2, 2, 4))):
+            with pytest.raises(SettingsError, match="poses"):
+                body_clearance_m(test, wrong)
+        assert body_clearance_m(test, np.zeros((0, 4))).shape == (0,)
+        single = np.array([[0.0, 0.0, 0.1, 0.0]])
+        assert body_clearance_m(test, single.astype(np.float32)) == pytest.approx(body_clearance_m(test, single))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_segments_far_beside_and_above_the_grid_are_decided(method: str, grids: list[OccupancyGrid]) -> None:
+    """Far beside it all is unknown below the field's top; above it all is free."""
+    test = segment_test(DistanceField.build(grids[0], 0.05), BODY, 0.001, CheckSettings(method=method))
+    for x, y, z, free in ((900.0, 900.0, 0.05, False), (900.0, 900.0, 0.5, True), (900.0, -900.0, 900.0, True)):
+        end = np.array([x, y, z, 900.0])
+        assert is_segment_safe(test, end, end) == free
+        assert is_segment_safe(test, end * [-1, 1, 1, 1], end) == free
+    below = np.array([0.0, 0.0, -900.0, 0.0])
+    assert not is_segment_safe(test, below, below)
+
+
 @pytest.mark.parametrize(
-    "changes", [{"method": "hope"}, {"n_samples": 0}, {"delta_p_m": 0.0}, {"resolution_m": float("nan")}]
+    "changes",
+    [
+        {"method": "hope"},
+        {"n_samples": 0},
+        {"n_samples": 10.5},
+        {"n_samples": float("nan")},
+        {"delta_p_m": 0.0},
+        {"resolution_m": float("nan")},
+    ],
 )
 def test_settings_out_of_domain_are_refused(changes: dict) -> None:
     with pytest.raises(SettingsError, match=next(iter(changes))):

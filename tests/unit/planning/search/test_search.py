@@ -16,6 +16,8 @@ from deltasafe.planning import (
     SearchTree,
     ToolBody,
     line_cost,
+    path_cost,
+    refine_path,
     segment_test,
 )
 from deltasafe.planning.search.cost import segment_cost
@@ -145,6 +147,57 @@ def test_nothing_changes_where_nothing_has_changed() -> None:
     after = growing.tree
     assert sorted(map(tuple, before.nodes)) == sorted(map(tuple, after.nodes))
     assert sorted(before.cost) == sorted(after.cost)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"goals": np.zeros((0, 4))},
+        {"goals": np.zeros(3)},
+        {"goals": np.array([0.1, np.nan, 0.03, 0.0])},
+        {"steering_range_m": np.nan},
+        {"steering_range_m": 0.0},
+        {"steering_range_m": 1e300},
+        {"goal_bias": np.nan},
+        {"near_factor": np.nan},
+        {"near_factor": 1e300},
+    ],
+)
+def test_numbers_that_compiled_code_cannot_bear_are_refused(options: dict) -> None:
+    with pytest.raises(SettingsError):
+        search(**options)
+
+
+@pytest.mark.parametrize("bound", [-np.inf, -1e300, np.nan])
+def test_bounds_of_a_search_must_be_finite(bound: float) -> None:
+    with pytest.raises(SettingsError, match="bounds"):
+        RrtStar(WALL, ROOT, START, GOAL, np.array([bound, *LOWER[1:]]), UPPER, 0)
+
+
+def test_a_budget_that_never_ends_is_refused() -> None:
+    growing = search()
+    for budget in ({"n_iterations": 10.5}, {"n_iterations": float("nan")}, {"deadline_s": float("nan")}):
+        with pytest.raises(SettingsError, match="a search needs"):
+            growing.grow(**budget)
+        steps = {"n_steps": budget.get("n_iterations"), "deadline_s": budget.get("deadline_s", np.inf)}
+        with pytest.raises(SettingsError, match="a refinement needs"):
+            refine_path(WALL, ROOT, np.array([START, GOAL]), LOWER, UPPER, seed=0, **steps)
+    assert growing.grow(np.int64(10)) == 10
+
+
+def test_a_refinement_refuses_what_is_not_finite() -> None:
+    path = np.array([START, GOAL])
+    for poses, lower in ((path * np.nan, LOWER), (path[:, :3], LOWER), (path, LOWER * np.nan)):
+        with pytest.raises(SettingsError, match=r"refinement|poses"):
+            refine_path(WALL, ROOT, poses, lower, UPPER, 10, 0)
+
+
+def test_a_cost_refuses_weights_that_overflow_single_precision() -> None:
+    for weights in ((np.inf, 0.0, 0.1), (1e300, 0.0, 0.1), (np.nan, 0.0, 0.1), (0.1, np.nan, 0.1), (0.1, 0.0, np.inf)):
+        with pytest.raises(SettingsError):
+            line_cost("area", *weights)
+    with pytest.raises(SettingsError, match="shape"):
+        path_cost(ROOT, np.zeros((5, 3)))
 
 
 def test_ends_outside_the_bounds_are_refused() -> None:

@@ -17,6 +17,7 @@ from deltasafe.planning import (
     VelocitySettings,
     plan,
     schedule,
+    schedule_at_top_speed,
 )
 from deltasafe.planning.timing.corner_blending import blend_corners
 from deltasafe.scene import OccupancyGrid
@@ -127,6 +128,27 @@ def test_a_refused_blend_is_halved_and_then_becomes_a_stop() -> None:
         np.testing.assert_allclose(np.linalg.norm(slopes[:, :3], axis=1), 1, atol=2e-3)
         turns = np.linalg.norm(np.diff(slopes, axis=0), axis=1) / np.diff(places)
         assert turns.max() <= curve.bend.max() * 1.02
+
+
+@pytest.mark.parametrize("weight_m2", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_rotation_weight_out_of_domain_is_refused(weight_m2: float) -> None:
+    path = PosePath(np.array([[-0.2, 0, 0.1, 0], [0.2, 0, 0.1, 0]]))
+    with pytest.raises(SettingsError, match="rotation_weight_m2"):
+        schedule(path, FREE, LIMITS, rotation_weight_m2=weight_m2)
+    with pytest.raises(SettingsError, match="rotation_weight_m2"):
+        schedule_at_top_speed(path, lambda arc: True, LIMITS, rotation_weight_m2=weight_m2)
+
+
+def test_a_motion_that_takes_days_is_refused() -> None:
+    path = PosePath(np.array([[-0.2, 0, 0.1, 0], [0.2, 0, 0.1, 0]]))
+    with pytest.raises(PlanningError, match="raise v_min_mps"):
+        schedule(path, FREE, dataclasses.replace(LIMITS, v_min_mps=1e-9, v_max_mps=1e-9))
+
+
+@pytest.mark.parametrize("changes", [{"spacing_m": 1e-300}, {"rate_hz": 1e300}])
+def test_a_resolution_that_no_memory_holds_is_refused(changes: dict) -> None:
+    with pytest.raises(SettingsError, match=next(iter(changes))):
+        dataclasses.replace(LIMITS, **changes)
 
 
 @pytest.mark.parametrize("name", ["v_min_mps", "acceleration_mps2", "rate_hz"])
