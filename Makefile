@@ -1,76 +1,93 @@
-# make demo  sets everything up and runs the whole chain on the embedded data (preset: PRESET=default)
-# make test  sets everything up and runs the checks and tests
-# make hands OUT=folder N=50 SET=test-like  and  make scenes OUT=folder N=100  render more pictures (docs/data.md)
-# make scale  does the same work on a Ray cluster of two hosts (network namespaces) and on one machine (docs/scaling.md)
-# make benchmarks  measures this machine: training, inference, the paper's preset (leave it alone meanwhile)
-# make faults  tries what must not go wrong, thousands of times (docs/reliability.md); minutes
-# make audit   asks whether anything installed has a known vulnerability;  make sbom  writes what is installed to dist/
-# make registry  lists the versions of the ensemble;  make rollback BECAUSE='...'  puts the one before in use again
-# make wheel  builds the library alone into dist/;  make examples  pulls the ensemble in use into environments made from it
-# make team  adds what several machines on the same records need: PostgreSQL, an object store (docs/deployment.md)
-# make ui    opens the Dagster UI (and MLflow's) on the same storage
-#
-# TORCH_INDEX=https://download.pytorch.org/whl/cpu makes the installation smaller on machines without a GPU.
+# `make help` lists the commands. These variables apply to all of them:
+#   PRESET=smoke          preset of the pipeline (docs/presets.md)
+#   PYTHON=PATH           interpreter for the environment; without it: python3.11, then python3, then uv
+#   TORCH_INDEX=URL       package index with smaller builds of torch, e.g. https://download.pytorch.org/whl/cpu
+#   COMPILE_PYBULLET=1    compile PyBullet where it has no wheel
 
-PYTHON ?= python3
+.DEFAULT_GOAL := help
 PRESET ?= default
+PYTHON ?=
 TORCH_INDEX ?=
+COMPILE_PYBULLET ?=
 VENV := .venv
+BIN := $(VENV)/bin
+# Each stamp marks a finished installation into $(VENV).
+STAMP := $(VENV)/.installed
 BROWSER := $(VENV)/.browser-installed
 AUDITOR := $(VENV)/audit/.installed
 TEAM := $(VENV)/.team-installed
 SERVICES := $(VENV)/.services-installed
 CLUSTER := $(VENV)/.cluster-installed
-BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+RENDERER := $(VENV)/.renderer-installed
 REQUIREMENTS := -e .[vision,sim,mcap,signing] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-# make results  writes docs/results/README.md from the records beside it
-.PHONY: results scale team services-test lint-deploy browser-test pictures operation-record wheel examples registry rollback hands scenes surroundings demo test ui check lock clean record study planner-study safety-study tracking-study benchmarks faults sbom audit
+.PHONY: help demo test check ui wheel clean lock results record study planner-study safety-study tracking-study benchmarks \
+  faults scale operation-record pictures sbom audit registry rollback examples surroundings hands scenes \
+  team services-test lint-deploy browser-test
 
-demo: $(STAMP)
+help: ## list the commands
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: $(STAMP) ## set up, then run the whole pipeline on the embedded data
 	$(BIN)/python -m pipelines.demo
 
-# the demo, and its figures written to docs/results
-record: $(STAMP)
+# Long test files come first and keep their order: sorted by number of tests, one core would wait for the last file.
+test: $(STAMP) check ## set up, then run the checks and the tests
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/browser --ignore tests/services
+
+check: $(STAMP) ## run the checks alone: lint, types, import contracts, definitions
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	DAGSTER_HOME= $(BIN)/dg check defs
+	DAGSTER_HOME= $(BIN)/dagster definitions validate -w workspace.yaml
+
+ui: $(STAMP) ## open the Dagster UI and the MLflow UI (docs/ui.md)
+	$(BIN)/python -m pipelines.ui
+
+registry: $(STAMP) ## list the versions of the ensemble
+	$(BIN)/python -m pipelines.registry list
+
+BECAUSE ?= no reason given
+rollback: $(STAMP) ## use the previous ensemble again; BECAUSE='REASON'
+	$(BIN)/python -m pipelines.registry rollback --because '$(BECAUSE)'
+
+SET ?= test-like
+SEED ?= 0
+hands: $(RENDERER) ## render labeled hand images; OUT=DIR N=50 SET=test-like SEED=0 (docs/data.md)
+	$(BIN)/python -m generator hands --out '$(OUT)' --count '$(N)' --set $(SET) --seed $(SEED) $(OPTIONS)
+
+scenes: $(RENDERER) ## render logged scenes; OUT=DIR N=100 SEED=0 (docs/data.md)
+	$(BIN)/python -m generator scenes --out '$(OUT)' --count '$(N)' --seed $(SEED) $(OPTIONS)
+
+surroundings: $(RENDERER) ## download lights and textures for rendering; without them they are procedural
+	$(BIN)/python -m generator fetch
+
+record: $(STAMP) ## run the demo and write its figures to docs/results
 	$(BIN)/python -m pipelines.demo --record docs/results/$(PRESET).json
 
-# Tables I to III, Fig. 4 and the ablation: hours; an interrupted study goes on where it was
-study: $(STAMP)
+study: $(STAMP) ## Tables I to III, Fig. 4 and the ablation; hours, resumes after an interruption
 	$(BIN)/python -m pipelines.study --record docs/results/perception.json
 
-# Fig. 5 and Fig. 6: minutes
-planner-study: $(STAMP)
+planner-study: $(STAMP) ## Fig. 5 and Fig. 6; minutes
 	$(BIN)/python -m pipelines.planner_study --record docs/results/planner.json
 
-# thousands of executed motions, an hour; after `make demo`, whose ensemble it takes.
-# SCENES="DIR ..." names folders of scenes (docs/data.md), EXECUTIONS=N how many motions
-safety-study: $(STAMP)
+safety-study: $(STAMP) ## thousands of executed motions, after the demo; 1 h, SCENES="DIR ..." EXECUTIONS=N
 	$(BIN)/python -m pipelines.safety_study --record docs/results/safety.json \
 	  $(if $(SCENES),--scenes $(SCENES)) $(if $(EXECUTIONS),--executions $(EXECUTIONS))
 
-# the tracking bound gamma(v) of the simulated arm, a quarter of an hour
-tracking-study: $(STAMP)
+tracking-study: $(STAMP) ## identify the tracking bound gamma(v) of the simulated arm; 15 min
 	$(BIN)/python -m pipelines.tracking_study --record docs/results/safety.json
 
-# the smoke chain and a thousand plans on a Ray cluster and without one, hosts killed, runs side by side; a quarter of an hour
-scale: $(CLUSTER)
-	$(BIN)/python -m pipelines.scale --record docs/results/scale.json
-
-# each in turns with what one would write first; half an hour, on a machine with nothing else to do
-benchmarks: $(STAMP)
+benchmarks: $(STAMP) ## measure training, inference, planner and the paper preset on an idle machine; 30 min
 	$(BIN)/python -m benchmarks.inference --record docs/results/perception.json
 	$(BIN)/python -m benchmarks.training --record docs/results/perception.json
 	$(BIN)/python -m benchmarks.paper_preset --record docs/results/paper_preset.json
 	$(BIN)/python -m benchmarks.planner --record docs/results/planner.json
 
-# docs/results/README.md: what the records beside it say, and what was aimed at
-results: $(STAMP)
-	$(BIN)/python -m pipelines.results_page
-
-# malformed inputs, changed bytes, kills, a hundred runs in one process: each command fails if one promise of docs/reliability.md does not hold
-faults: $(STAMP)
+faults: $(STAMP) ## test the promises of docs/reliability.md with thousands of injected faults; minutes
 	$(BIN)/python -m faults.inputs --record docs/results/reliability.json
 	$(BIN)/python -m faults.flips --record docs/results/reliability.json
 	$(BIN)/python -m faults.pickles --record docs/results/reliability.json
@@ -82,73 +99,57 @@ faults: $(STAMP)
 	$(BIN)/python -m faults.races --record docs/results/reliability.json
 	$(BIN)/python -m faults.soak --record docs/results/reliability.json
 
-# dist/sbom.json: what is installed, for a scanner (CycloneDX)
-sbom: $(STAMP) $(AUDITOR)
-	$(BIN)/python -m faults.dependencies --sbom-alone
+scale: $(CLUSTER) ## compare a Ray cluster of two hosts (network namespaces) with one machine; 15 min (docs/scaling.md)
+	$(BIN)/python -m pipelines.scale --record docs/results/scale.json
 
-# the SBOM, and pip-audit where a database of vulnerabilities can be reached; says so where none can
-audit: $(STAMP) $(AUDITOR)
-	$(BIN)/python -m faults.dependencies $(if $(RECORD),--record $(RECORD))
+operation-record: $(STAMP) ## measure the cost of orchestration, retraining and rollback, after the demo
+	$(BIN)/python -m pipelines.operation share --record docs/results/operation.json
+	$(BIN)/python -m pipelines.operation tests --record docs/results/operation.json
 
-# files in their own order, long ones first: reordered by number of tests, one core would wait for the last of them
-test: $(STAMP) check
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/browser --ignore tests/services
+results: $(STAMP) ## write docs/results/README.md from the records beside it
+	$(BIN)/python -m pipelines.results_page
 
-check: $(STAMP)
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
-	DAGSTER_HOME= $(BIN)/dg check defs
-	DAGSTER_HOME= $(BIN)/dagster definitions validate -w workspace.yaml
+pictures: $(BROWSER) ## take the screenshots of the UI for the README
+	$(BIN)/python -m tests.browser.pictures --out docs/pictures
 
-ui: $(STAMP)
-	$(BIN)/python -m pipelines.ui
+browser-test: $(BROWSER) ## test the UI in Chromium (docs/ui.md); SCREENSHOTS=DIR RECORD=FILE
+	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m pipelines.operation browser $(if $(RECORD),--record $(RECORD))
 
-registry: $(STAMP)
-	$(BIN)/python -m pipelines.registry list
-
-BECAUSE ?= no reason given
-rollback: $(STAMP)
-	$(BIN)/python -m pipelines.registry rollback --because '$(BECAUSE)'
-
-wheel: $(STAMP)
+wheel: $(STAMP) ## build the library into dist/
 	$(BIN)/python -m hatchling build -t wheel -d dist
 
-# three ways of pulling the ensemble, in environments of their own (7 GB below examples/ the first time);
-# ENSEMBLE=DIR names another than the one in use, RECORD=FILE merges the figures into a record
-examples: $(STAMP)
+examples: $(STAMP) ## load the ensemble in three new environments (7 GB in examples/); ENSEMBLE=DIR RECORD=FILE
 	$(BIN)/python -m pipelines.consumers --torch-index '$(TORCH_INDEX)' \
 	  $(if $(ENSEMBLE),--ensemble '$(ENSEMBLE)') $(if $(RECORD),--record $(RECORD))
 
-team: $(TEAM)
+team: $(TEAM) ## install clients of PostgreSQL and of object stores (docs/deployment.md)
 
-# PostgreSQL and an object store for real, on loopback, and the commands of deploy/ without containers
-services-test: $(SERVICES) lint-deploy
+services-test: $(SERVICES) lint-deploy ## test with a local PostgreSQL server and a local object store
 	@command -v initdb >/dev/null || ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || \
 	  { echo "PostgreSQL is not installed; on Debian and Ubuntu: apt install postgresql"; exit 1; }
 	$(BIN)/python -m pytest tests/services
 
-# deploy/: what can be checked without a container engine
-lint-deploy: $(SERVICES)
+lint-deploy: $(SERVICES) ## lint the files in deploy/; needs no container engine
 	$(BIN)/hadolint deploy/Containerfile
 	$(BIN)/yamllint --strict -d '{extends: default, rules: {line-length: {max: 140}, document-start: disable, braces: {max-spaces-inside: 0}}}' deploy
 	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec deploy/compose.yaml
 
-# the UI, used by clicks; a Chromium has to be there (docs/ui.md). SCREENSHOTS=DIR keeps what it saw, RECORD=FILE the outcome
-browser-test: $(BROWSER)
-	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m pipelines.operation browser $(if $(RECORD),--record $(RECORD))
+sbom: $(STAMP) $(AUDITOR) ## write the installed packages to dist/sbom.json (CycloneDX)
+	$(BIN)/python -m faults.dependencies --sbom-alone
 
-# the UI for the README, as it shows what the home holds
-pictures: $(BROWSER)
-	$(BIN)/python -m tests.browser.pictures --out docs/pictures
+audit: $(STAMP) $(AUDITOR) ## write the SBOM and check it for known vulnerabilities; RECORD=FILE
+	$(BIN)/python -m faults.dependencies $(if $(RECORD),--record $(RECORD))
 
-# after `make demo`: what orchestration cost of it; and new images, a worse ensemble, a rollback, by the tests that do them
-operation-record: $(STAMP)
-	$(BIN)/python -m pipelines.operation share --record docs/results/operation.json
-	$(BIN)/python -m pipelines.operation tests --record docs/results/operation.json
+lock: ## renew constraints.txt with uv: the newest versions that install together
+	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \
+	  --extra vision --extra sim --extra mcap --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster pyproject.toml -o constraints.txt
 
-# into the environment $(1), by uv where it is there
+clean: ## delete the environment
+	rm -rf $(VENV)
+
+# --- Installation -----------------------------------------------------------------------------------------------------
+
+# Installs the packages $(2) into the environment $(1), with uv if it is on PATH.
 define install
 @if command -v uv >/dev/null 2>&1; then \
 	  VIRTUAL_ENV=$(1) uv pip install -q $(2) -c constraints.txt; \
@@ -159,33 +160,10 @@ define install
 endef
 
 $(STAMP): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
-	  { echo "deltasafe needs Python 3.11 or newer; set it with: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
-	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
-	  { echo "$(PYTHON) lacks the venv module; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
-	$(PYTHON) -m venv $(VENV)
+	@PYTHON='$(PYTHON)' COMPILE_PYBULLET='$(COMPILE_PYBULLET)' sh create_venv.sh $(VENV) '$(MAKECMDGOALS)'
 	@echo "Installing (about 4 minutes and 7 GB with the default build of torch) ..."
-	$(call install,$(VENV),$(REQUIREMENTS) $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)))
+	$(call install,$(VENV),$(REQUIREMENTS) $(if $(COMPILE_PYBULLET),,--only-binary pybullet) $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)))
 	@touch $(STAMP)
-
-# constraints.txt: newest versions that install together, free of hosts
-lock:
-	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \
-	  --extra vision --extra sim --extra mcap --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster pyproject.toml -o constraints.txt
-
-# more rendered hands and scenes; `make surroundings` fetches light and surfaces once, without it they are procedural
-RENDERER := $(VENV)/.renderer-installed
-SET ?= test-like
-SEED ?= 0
-
-surroundings: $(RENDERER)
-	$(BIN)/python -m generator fetch
-
-hands: $(RENDERER)
-	$(BIN)/python -m generator hands --out '$(OUT)' --count '$(N)' --set $(SET) --seed $(SEED) $(OPTIONS)
-
-scenes: $(RENDERER)
-	$(BIN)/python -m generator scenes --out '$(OUT)' --count '$(N)' --seed $(SEED) $(OPTIONS)
 
 $(RENDERER): $(STAMP)
 	$(call install,$(VENV),--group generator)
@@ -204,13 +182,10 @@ $(BROWSER): $(STAMP)
 	@touch $(BROWSER)
 
 $(AUDITOR): $(STAMP)
-	$(PYTHON) -m venv $(VENV)/audit
+	$(BIN)/python -m venv $(VENV)/audit
 	$(call install,$(VENV)/audit,--group audit)
 	@touch $(AUDITOR)
 
 $(CLUSTER): $(STAMP)
 	$(call install,$(VENV),--group cluster)
 	@touch $(CLUSTER)
-
-clean:
-	rm -rf $(VENV)
