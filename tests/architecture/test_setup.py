@@ -1,12 +1,16 @@
-"""How `make` chooses an interpreter. Interpreters, uv and compilers are fakes that log their calls."""
+"""How `make` chooses an interpreter (interpreters, uv and compilers are fakes), hooks, citation, versions."""
 
 import pathlib
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
 
 import pytest
+import yaml
+
+import deltasafe
 
 ROOT = pathlib.Path(__file__).parents[2]
 TOOLS = ("make", "sh", "awk", "touch", "env")
@@ -208,3 +212,41 @@ def test_help_lists_every_command(machine):
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     phony = re.search(r"^\.PHONY: ((?:.*\\\n)*.*)", makefile, re.MULTILINE)[1].replace("\\", " ").split()
     assert listed == set(phony)
+
+
+def test_hooks_run_the_commands_of_ci():
+    config = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    assert [repository["repo"] for repository in config["repos"]] == ["local"], "others are downloaded"
+    hooks = {hook["entry"]: hook["stages"] for hook in config["repos"][0]["hooks"]}
+    assert hooks == {"make check": ["pre-commit"], "make test": ["pre-push"]}
+    assert "make test\n" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+def test_citation_names_the_version_and_the_paper():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["version"] == deltasafe.__version__
+    assert citation["message"]
+    assert citation["title"] == "deltasafe"
+    assert citation["authors"]
+    paper = citation["preferred-citation"]
+    assert paper["type"] == "article"
+    assert paper["year"] == 2023
+    assert [author["family-names"] for author in paper["authors"]] == ["Römer", "Lederer", "Tesfazgi", "Hirche"]
+    assert paper["title"] in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+
+
+def test_versions_agree():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["version"] == deltasafe.__version__
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert deltasafe.__version__ in changes
+    assert re.findall(r"^## \[(.+?)\]", changes, re.MULTILINE)[0] == "Unreleased"
+
+
+def test_pybullet_is_pinned_to_the_release_whose_wheels_are_known():
+    pins = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    (pybullet,) = [pin for pin in pins if pin.startswith("pybullet==")]
+    assert f"PyBullet {pybullet.removeprefix('pybullet==')} has" in (ROOT / "create_venv.sh").read_text(
+        encoding="utf-8"
+    )
