@@ -1,7 +1,7 @@
 #!/bin/sh
 # Usage: create_venv.sh FOLDER GOAL. Creates the environment FOLDER for `make GOAL`; keeps one that fits.
 #
-# PyBullet 3.2.7 has one wheel that fits: Python 3.11 on Linux x86_64. Elsewhere pip compiles it for many minutes, or fails
+# PyBullet 3.2.7 has one wheel that fits: Python 3.11 on Linux x86_64. Elsewhere pip compiles it for minutes, or fails
 # without a compiler. Hence Python 3.11 is preferred, and compiling needs COMPILE_PYBULLET=1. PYTHON names an interpreter.
 set -eu
 venv=$1 goal=$2
@@ -28,7 +28,7 @@ PyBullet 3.2.7 has a wheel for Python 3.11 on Linux x86_64 only. Install Python 
   Debian 12                  sudo apt install python3.11-venv && make $goal
   Debian 13, Ubuntu          sudo apt install pipx && pipx install uv && PATH=\"\$HOME/.local/bin:\$PATH\" make $goal
   another installation       make PYTHON=/path/to/python3.11 $goal
-Or compile PyBullet with Python 3.11 or newer, for 10 minutes or more:
+Or compile PyBullet with Python 3.11 or newer (about 6 minutes of CPU time):
   Debian 12+, Ubuntu 24.04+  sudo apt install g++ python3-dev python3-venv && make COMPILE_PYBULLET=1 $goal
   macOS                      xcode-select --install; brew install python@3.11 && make COMPILE_PYBULLET=1 $goal"
 }
@@ -50,7 +50,7 @@ if [ -n "$found" ] && ! "$found" -c "$has_wheel"; then
   if ! command -v c++ >/dev/null || ! command -v cc >/dev/null || ! "$found" -c "$has_headers"; then
     stop "Compiling PyBullet needs a C++ compiler and Python's headers; on Debian and Ubuntu: sudo apt install g++ python3-dev"
   fi
-  echo "PyBullet will be compiled for $("$found" -V): 10 minutes or more."
+  echo "PyBullet will be compiled for $("$found" -V): about 6 minutes of CPU time."
 fi
 
 if [ -n "$found" ]; then
