@@ -22,9 +22,7 @@ RENDERER := $(VENV)/.renderer-installed
 REQUIREMENTS := -e .[vision,sim,mcap,signing] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: help demo test check ui wheel clean lock results record study planner-study safety-study tracking-study benchmarks \
-  faults scale operation-record pictures sbom audit registry rollback examples surroundings hands scenes \
-  team services-test lint-deploy browser-test
+.PHONY: help demo test check ui wheel clean lock results record study planner-study safety-study tracking-study benchmarks faults scale operation-record pictures sbom audit registry rollback examples surroundings hands scenes team services-test lint-deploy browser-test
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
