@@ -1,4 +1,4 @@
-"""Mitsuba 3, the path tracer: an optional dependency, imported here alone."""
+"""Import of Mitsuba 3, the path tracer, which is an optional dependency; no other module imports it."""
 
 import importlib.util
 from types import ModuleType
@@ -7,12 +7,12 @@ from deltasafe.errors import SettingsError
 
 __all__ = ["VARIANTS", "load_mitsuba"]
 
-# the first gives the same bytes on every run; the others are quicker and need LLVM (19) or CUDA on the machine
+# scalar_rgb gives the same bytes on every run; the others are faster and need LLVM 19 or CUDA
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb", "cuda_ad_rgb")
 
 
 def load_mitsuba(variant: str | None = None) -> ModuleType:
-    """The module with the given variant set; without one, with the variant that is set already, or the first.
+    """Import Mitsuba and select a variant; by default keep the selected variant, or select ``scalar_rgb``.
 
     Raises:
         SettingsError: the variant is unknown, or Mitsuba is not installed.
