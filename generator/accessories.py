@@ -9,8 +9,6 @@ from generator.recipe import Sleeve
 from generator.stage import ClothMesh, Material, SkinMesh
 from generator.surface_mesh import vertex_normals
 
-__all__ = ["ring_mesh", "sleeve_mesh", "strap_mesh"]
-
 GOLD = (0.85, 0.62, 0.25)
 
 

@@ -11,8 +11,6 @@ from deltasafe.storage import sha256_of_file
 from generator.aliases import Array, Quads
 from generator.surface_mesh import Refinement, catmull_clark
 
-__all__ = ["ArmModel"]
-
 ARM_PATH = pathlib.Path(__file__).parent / "data" / "arm.npz"
 ARM_SHA256 = "98866217b1fc4f38c468818b4366bab19951bc8ae01d601ce7b4d0fb249a7639"
 N_REFINEMENTS = 3

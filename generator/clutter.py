@@ -10,8 +10,6 @@ from generator.skin.palette import random_albedo
 from generator.stage import Box, Cylinder, Disk, Material, Shape, Sphere
 from generator.surroundings import Surroundings
 
-__all__ = ["place_clutter"]
-
 KINDS = ("box", "cup", "ball", "paper", "pen", "phone")
 MIN_HAND_DISTANCE_M = 0.055
 MAX_TRIALS = 30

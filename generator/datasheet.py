@@ -10,8 +10,6 @@ from deltasafe.storage import atomic_file, read_json
 from generator.settings import PictureSettings, SceneSettings
 from generator.surroundings.fetch import SOURCES
 
-__all__ = ["write_datasheet"]
-
 TEMPLATE = """# {name}: rendered {kind}
 
 All images are rendered; no person was photographed. Results on these images may not transfer to photographs.

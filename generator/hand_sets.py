@@ -12,8 +12,6 @@ from generator.render import Renderer
 from generator.settings import HandSetSettings
 from generator.surroundings import Surroundings
 
-__all__ = ["make_hands"]
-
 
 def make_hands(
     folder: str | pathlib.Path,

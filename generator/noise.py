@@ -5,11 +5,10 @@ from numpy.typing import NDArray
 
 from generator.aliases import Array
 
-__all__ = ["catmull_rom", "distance_to_polyline", "fractal_noise", "smoothstep", "value_noise"]
-
 HASH_PRIMES = (374761393, 668265263, 1274126177)
 SEED_FACTOR = 362437
 UINT32_MAX = 0xFFFFFFFF
+POINTS_PER_SEGMENT = 6
 
 
 def smoothstep(start: float, end: float, x: Array) -> Array:
@@ -52,10 +51,10 @@ def distance_to_polyline(points: Array, line: Array) -> tuple[Array, Array]:
     return distance, parameter
 
 
-def catmull_rom(knots: Array, points_per_segment: int = 6) -> Array:
+def catmull_rom(knots: Array) -> Array:
     """Sample the Catmull-Rom spline through ``knots`` (K, 2), both ends included."""
     padded = np.concatenate([[2 * knots[0] - knots[1]], knots, [2 * knots[-1] - knots[-2]]])
-    t = np.linspace(0, 1, points_per_segment, endpoint=False)[:, None]
+    t = np.linspace(0, 1, POINTS_PER_SEGMENT, endpoint=False)[:, None]
     segments = [
         0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
         for a, b, c, d in zip(padded, padded[1:], padded[2:], padded[3:], strict=False)

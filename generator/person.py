@@ -10,8 +10,6 @@ from deltasafe.errors import SettingsError
 from generator.aliases import Array
 from generator.arm import ArmModel
 
-__all__ = ["SIMILAR_PEOPLE", "Body", "Person", "Skin", "macro_target_weights", "sample_person", "shaped_points_m"]
-
 METERS_PER_DECIMETER = 0.1
 NAIL_POLISHES_SRGB = ((150, 20, 40), (200, 60, 90), (30, 30, 35), (60, 90, 150), (235, 200, 195))
 ANCESTRIES = ("african", "asian", "caucasian")

@@ -19,8 +19,6 @@ from generator.stage_building import build_stage
 from generator.surroundings import Surroundings
 from generator.webcam import webcam_jpeg
 
-__all__ = ["missing_items", "render_image_and_mask"]
-
 MASK_COVERAGE = 0.5
 
 

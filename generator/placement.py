@@ -14,8 +14,6 @@ from generator.skeleton import Skeleton, rotation_matrix
 from generator.skinning import posed_vertices_m
 from generator.surface_mesh import closed_triangles
 
-__all__ = ["PlacedHand", "place_hand"]
-
 X, Y, Z = np.eye(3)
 UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # fingers up, back of the hand along +y
 FOREARM_X_M = -0.06  # behind the wrist, in the hand frame of the rest pose

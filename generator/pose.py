@@ -7,8 +7,6 @@ import numpy as np
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["POSES", "Pose", "sample_pose"]
-
 Triple = tuple[float, float, float]
 
 
@@ -43,20 +41,30 @@ class Pose:
         return float(np.clip(np.degrees(angle) / full_deg, 0, 1))
 
 
-def _from_degrees(
-    fingers: Sequence[Sequence[float]],
-    spread: Sequence[float] = (0, 0, 0, 0),
-    thumb: Sequence[float] = (10, 10),
-    thumb_base: Sequence[float] = (0, 0, 0),
-    cupping: float = 0.0,
-) -> Pose:
-    return Pose(
-        _finger_tuples(np.radians(fingers)),
-        tuple(np.radians(spread).tolist()),
-        tuple(np.radians(thumb).tolist()),
-        tuple(np.radians(thumb_base).tolist()),
-        float(np.radians(cupping)),
+# degrees: MCP, PIP, DIP of index, middle, ring, little finger | spread | thumb MCP, IP | thumb base | cupping
+_POSE_TABLE = """
+flat       2  4  2    2  4  2    2  4  2    2  4  2  |    0   0   0   0 |  10  10 | -18  24   0 |  0
+together   2  3  2    2  3  2    2  3  2    2  3  2  |    5   1  -4  -8 |   6   4 |  -8  29   0 |  0
+relaxed   10 22 12   12 26 14   14 29 15   16 30 15  |    0   0   0   0 |  15  15 |  -8  14   0 |  0
+cupped    18 25 14   22 30 16   26 34 18   30 36 18  |    0   0   0   0 |  15  15 |   8   0   0 |  0
+spread     0  3  2    0  3  2    0  3  2    0  4  2  |  -12  -2   8  20 |   0  -5 | -31  13   0 |  0
+fist      72 98 55   76 100 58  80 100 58  84 98 55  |    0   0   0   0 |  35  45 |  28  22  20 |  8
+point      4  6  3   74 98 58   80 100 58  84 98 55  |    0   0   0   0 |  35  50 |  26  20  20 |  8
+vsign      2  4  2    2  4  2   80 100 58  84 98 55  |  -10   6   0   0 |  40  50 |  32  26  25 |  6
+pinch     44 42 24   28 32 18   24 28 15   22 24 14  |    0   0   4  10 |  22  28 |  30  20  25 |  0
+ok        52 56 30   20 18  8   12 12  6    8 10  6  |    0   2   8  16 |  28  35 |  30  20  25 |  0
+claw       8 50 30    8 52 30   10 52 30   12 50 28  |   -8   0   6  14 |  15  35 |   5  10   5 |  0
+grip      45 40 25   48 42 25   50 44 25   54 42 25  |    0   0   0   0 |  20  25 |  14  30  15 |  6
+thumbsup  76 98 55   80 100 58  82 100 58  84 98 55  |    0   0   0   0 |  -5 -10 | -22   4   0 |  0
+"""
+
+
+def _parse_pose(row: str) -> tuple[str, Pose]:
+    name, numbers = row.split(maxsplit=1)
+    fingers, spread, thumb, thumb_base, cupping = (
+        tuple(np.radians([float(x) for x in part.split()]).tolist()) for part in numbers.split("|")
     )
+    return name, Pose(_finger_tuples(np.reshape(fingers, (4, 3))), spread, thumb, thumb_base, *cupping)
 
 
 def _finger_tuples(angles: np.ndarray) -> tuple[Triple, Triple, Triple, Triple]:
@@ -64,57 +72,7 @@ def _finger_tuples(angles: np.ndarray) -> tuple[Triple, Triple, Triple, Triple]:
     return index, middle, ring, little
 
 
-_STRAIGHT, _RING_CURLED, _LITTLE_CURLED = (2, 4, 2), (80, 100, 58), (84, 98, 55)
-POSES: dict[str, Pose] = {
-    "flat": _from_degrees([_STRAIGHT] * 4, thumb_base=(-18, 24, 0)),
-    "together": _from_degrees([(2, 3, 2)] * 4, spread=(5, 1, -4, -8), thumb=(6, 4), thumb_base=(-8, 29, 0)),
-    "relaxed": _from_degrees(
-        [(10, 22, 12), (12, 26, 14), (14, 29, 15), (16, 30, 15)], thumb=(15, 15), thumb_base=(-8, 14, 0)
-    ),
-    "cupped": _from_degrees(
-        [(18, 25, 14), (22, 30, 16), (26, 34, 18), (30, 36, 18)], thumb=(15, 15), thumb_base=(8, 0, 0)
-    ),
-    "spread": _from_degrees(
-        [(0, 3, 2), (0, 3, 2), (0, 3, 2), (0, 4, 2)], spread=(-12, -2, 8, 20), thumb=(0, -5), thumb_base=(-31, 13, 0)
-    ),
-    "fist": _from_degrees(
-        [(72, 98, 55), (76, 100, 58), _RING_CURLED, _LITTLE_CURLED], thumb=(35, 45), thumb_base=(28, 22, 20), cupping=8
-    ),
-    "point": _from_degrees(
-        [(4, 6, 3), (74, 98, 58), _RING_CURLED, _LITTLE_CURLED], thumb=(35, 50), thumb_base=(26, 20, 20), cupping=8
-    ),
-    "vsign": _from_degrees(
-        [_STRAIGHT, _STRAIGHT, _RING_CURLED, _LITTLE_CURLED],
-        spread=(-10, 6, 0, 0),
-        thumb=(40, 50),
-        thumb_base=(32, 26, 25),
-        cupping=6,
-    ),
-    "pinch": _from_degrees(
-        [(44, 42, 24), (28, 32, 18), (24, 28, 15), (22, 24, 14)],
-        spread=(0, 0, 4, 10),
-        thumb=(22, 28),
-        thumb_base=(30, 20, 25),
-    ),
-    "ok": _from_degrees(
-        [(52, 56, 30), (20, 18, 8), (12, 12, 6), (8, 10, 6)],
-        spread=(0, 2, 8, 16),
-        thumb=(28, 35),
-        thumb_base=(30, 20, 25),
-    ),
-    "claw": _from_degrees(
-        [(8, 50, 30), (8, 52, 30), (10, 52, 30), (12, 50, 28)],
-        spread=(-8, 0, 6, 14),
-        thumb=(15, 35),
-        thumb_base=(5, 10, 5),
-    ),
-    "grip": _from_degrees(
-        [(45, 40, 25), (48, 42, 25), (50, 44, 25), (54, 42, 25)], thumb=(20, 25), thumb_base=(14, 30, 15), cupping=6
-    ),
-    "thumbsup": _from_degrees(
-        [(76, 98, 55), (80, 100, 58), (82, 100, 58), (84, 98, 55)], thumb=(-5, -10), thumb_base=(-22, 4, 0)
-    ),
-}
+POSES: dict[str, Pose] = dict(map(_parse_pose, _POSE_TABLE.strip().splitlines()))
 
 
 def sample_pose(rng: np.random.Generator, names: Sequence[str], jitter_rad: float = 0.087, blend: float = 0.3) -> Pose:

@@ -28,8 +28,6 @@ from generator.surface_mesh import normalized
 from generator.surroundings import Surroundings
 from generator.webcam import Webcam
 
-__all__ = ["sample_hand_recipe", "sample_scene_recipe"]
-
 # the position of a part is the last number of its stream's seed
 PARTS = ("person", "pose", "placement", "view", "accessories", "light", "surface", "camera")
 MAX_ALBEDO = 0.85

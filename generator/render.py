@@ -11,8 +11,6 @@ from generator.stage import Box, Cylinder, Disk, Lamp, Material, Panel, Shape, S
 from generator.subsurface import SkinBuffers, scatter
 from generator.surface_mesh import triangulate, vertex_normals
 
-__all__ = ["Picture", "Renderer"]
-
 Pass = Literal["full", "specular", "albedo", "coverage"]
 SKIN_SPECULAR = 0.35
 MIN_SPECULAR_SAMPLES, ALBEDO_SAMPLES, COVERAGE_SAMPLES = 16, 16, 32
@@ -62,11 +60,8 @@ class Renderer:
         return self._trace(stage, "coverage", COVERAGE_SAMPLES, "box", integrator, seed)[..., 0]
 
     def _trace(self, stage: Stage, render_pass: Pass, samples: int, rfilter: str, integrator: dict, seed: int) -> Array:
-        content: dict[str, Any] = {
-            "type": "scene",
-            "integrator": integrator,
-            "sensor": self._sensor(stage, samples, rfilter),
-        }
+        sensor = self._sensor(stage, samples, rfilter)
+        content: dict[str, Any] = {"type": "scene", "integrator": integrator, "sensor": sensor}
         for i, part in enumerate(stage.hand):
             content[f"hand{i}"] = self._skin(part, render_pass)
         if sleeve := stage.sleeve:
@@ -88,19 +83,14 @@ class Renderer:
         pose = np.eye(4)  # Mitsuba's camera looks along z, with x to the left and y up
         pose[:3, :3] = camera.world_from_camera_rotation * [-1, -1, 1]
         pose[:3, 3] = camera.position_m
+        size = {"width": camera.width, "height": camera.height}
         return {
             "type": "perspective",
             "fov": float(np.degrees(2 * np.arctan(camera.width / 2 / camera.fx))),
             "fov_axis": "x",
             "near_clip": 0.01,
             "to_world": self._mi.ScalarTransform4f(pose),
-            "film": {
-                "type": "hdrfilm",
-                "width": camera.width,
-                "height": camera.height,
-                "pixel_format": "rgb",
-                "rfilter": {"type": rfilter},
-            },
+            "film": {"type": "hdrfilm", **size, "pixel_format": "rgb", "rfilter": {"type": rfilter}},
             "sampler": {"type": "independent", "sample_count": samples},
         }
 

@@ -22,8 +22,6 @@ from generator.settings import SceneSettings
 from generator.stage_building import build_camera
 from generator.surroundings import Surroundings
 
-__all__ = ["ScenePlan", "free_tool_y_m", "hand_height_m", "make_scenes", "plan_scene"]
-
 MAX_ATTEMPTS = 100
 STEP_M = 0.005
 TABLE_Z_M = 0.0
@@ -89,7 +87,7 @@ def plan_scene(settings: SceneSettings, surroundings: Surroundings, index: int) 
         vertices = hand.mesh_m()[0].astype(float)
         start_y, goal_y = (free_tool_y_m(camera, vertices, sign * settings.tool_x_m, settings) for sign in (-1, 1))
         if start_y is not None and goal_y is not None:
-            return ScenePlan(recipe, hand, camera, start_y, goal_y, hand_height_m(camera, vertices))
+            return ScenePlan(recipe, hand, camera, start_y, goal_y, _hand_height_m(camera, vertices))
     raise SettingsError(
         f"no hand leaves {settings.clearance_m} m around start and goal at x = +-{settings.tool_x_m} m; "
         "lower clearance_m, or raise the camera"
@@ -114,7 +112,7 @@ def free_tool_y_m(camera: Camera, vertices_m: Array, x_m: float, settings: Scene
     return None
 
 
-def hand_height_m(camera: Camera, vertices_m: Array) -> float:
+def _hand_height_m(camera: Camera, vertices_m: Array) -> float:
     """Return the height above the table of the highest visible vertex, rounded up to 0.1 mm."""
     uv, depth_m = camera.project(vertices_m)
     visible = (depth_m > 0) & ((uv >= 0) & (uv <= (camera.width, camera.height))).all(axis=1)

@@ -6,8 +6,6 @@ from deltasafe.errors import SettingsError
 from generator.backend import VARIANTS
 from generator.pose import POSES
 
-__all__ = ["PLACES", "TEST_LIKE", "TRAIN_LIKE", "HandSetSettings", "PictureSettings", "SceneSettings"]
-
 TABLE_PLACES, AIR_PLACES = ("above", "desk"), ("room", "wall")
 PLACES = TABLE_PLACES + AIR_PLACES
 TABLE_POSES = ("flat", "together", "relaxed", "spread", "point", "fist", "pinch", "grip")

@@ -8,8 +8,6 @@ from generator.arm import ArmModel
 from generator.pose import Pose
 from generator.skeleton import Skeleton, forward_kinematics, local_rotations, relative_to
 
-__all__ = ["dual_quaternion_skinning", "linear_blend_skinning", "posed_vertices_m"]
-
 
 def posed_vertices_m(arm: ArmModel, skeleton: Skeleton, pose: Pose) -> Array:
     """Return the coarse mesh (V, 3) in the given pose, in the hand frame; the wrist is fixed, the forearm moves.

@@ -14,8 +14,6 @@ from generator.stage import Cylinder, Environment, Lamp, Material, Panel, Shape,
 from generator.surface_mesh import vertex_normals
 from generator.surroundings import Surroundings
 
-__all__ = ["build_camera", "build_stage"]
-
 UP = np.array([0.0, 0.0, 1.0])
 TABLE_HALF_SIZE_M, WALL_HALF_SIZE_M = 1.5, 1.2
 MAX_RADIANCE = 20.0  # clips lamps in an environment map when its mean is computed

@@ -12,8 +12,6 @@ from scipy.ndimage import gaussian_filter
 
 from generator.aliases import Array, Mask
 
-__all__ = ["SkinBuffers", "scatter"]
-
 # (weight, standard deviation in millimeters) for red, green, blue
 PROFILES = (((0.45, 0.7), (0.3, 2.2), (0.25, 5.0)), ((0.6, 0.6), (0.4, 1.6)), ((0.7, 0.5), (0.3, 1.0)))
 FULL_COVERAGE = 0.995

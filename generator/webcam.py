@@ -11,8 +11,6 @@ from generator.aliases import Array
 from generator.noise import smoothstep
 from generator.skin.palette import linear_to_srgb
 
-__all__ = ["Webcam", "webcam_jpeg"]
-
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 MOTION_STEPS = 9
 HIGHLIGHT_KNEE, HIGHLIGHT_RANGE = 0.7, 0.3  # highlights above the knee are compressed

@@ -9,8 +9,6 @@ from generator.skeleton import DIGITS, FINGERS, PARENTS
 from generator.skin.marks import Marks
 from generator.skin.regions import Regions
 
-__all__ = ["add_joint_folds", "add_palm_lines", "add_wrist_lines"]
-
 # by the number k of the bone, offsets of the palmar creases along the finger from the bone's base joint
 CREASE_OFFSETS_MM = {1: (9.0,), 2: (-1.2, 1.2), 3: (0.0,)}
 N_SMALL_PALM_LINES = 12

@@ -6,8 +6,6 @@ import numpy as np
 
 from generator.aliases import Array
 
-__all__ = ["Marks"]
-
 DARKENING_RGB = np.array([0.75, 1.0, 1.05])
 REDDENING_RGB = np.array([0.02, -0.22, -0.20])
 

@@ -10,8 +10,6 @@ from generator.skeleton import DIGITS
 from generator.skin.palette import srgb_to_linear
 from generator.skin.regions import Regions
 
-__all__ = ["Nails", "compute_nails"]
-
 BED, LUNULA, FREE_EDGE = (srgb_to_linear(c) for c in ((236, 184, 170), (244, 222, 212), (238, 226, 214)))
 
 

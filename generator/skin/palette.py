@@ -5,16 +5,6 @@ from numpy.typing import ArrayLike
 
 from generator.aliases import Array, Rgb
 
-__all__ = [
-    "TONES_SRGB",
-    "linear_to_srgb",
-    "palm_albedo",
-    "random_albedo",
-    "srgb_to_linear",
-    "tone_albedo",
-    "tone_darkness",
-]
-
 # from lightest (0) to darkest (9)
 TONES_SRGB = (
     (238, 196, 176),

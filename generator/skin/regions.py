@@ -10,8 +10,6 @@ from generator.noise import smoothstep
 from generator.skeleton import DIGIT_BONES, DIGITS, PARENTS, Skeleton
 from generator.surface_mesh import normalized, vertex_normals
 
-__all__ = ["Regions"]
-
 FOREARM_BONES = ("lowerarm01", "lowerarm02", "upperarm02")
 
 

@@ -10,8 +10,6 @@ from generator.skeleton import FINGERS
 from generator.skin.marks import Marks
 from generator.skin.regions import Regions
 
-__all__ = ["add_tendons", "add_veins"]
-
 N_VEINS = 5
 
 

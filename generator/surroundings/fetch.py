@@ -19,8 +19,6 @@ from deltasafe.errors import DataError
 from deltasafe.progress import Progress, silent
 from deltasafe.storage import atomic_file, sha256_of_file, write_json
 
-__all__ = ["SOURCES", "Source", "fetch_surroundings"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Source:

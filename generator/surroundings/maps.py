@@ -9,8 +9,6 @@ from generator.aliases import Array
 from generator.noise import fractal_noise, smoothstep
 from generator.surface_mesh import normalized
 
-__all__ = ["MAPS", "procedural_map"]
-
 HEIGHT, WIDTH = 256, 512
 # albedos of grass, asphalt, sand, earth, concrete
 GROUNDS = np.array([(0.07, 0.14, 0.03), (0.06, 0.06, 0.06), (0.34, 0.25, 0.15), (0.14, 0.08, 0.04), (0.25, 0.24, 0.22)])

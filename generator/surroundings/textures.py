@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike
 from generator.aliases import Array
 from generator.noise import fractal_noise, smoothstep, value_noise
 
-__all__ = ["TEXTURES", "procedural_texture"]
-
 SIZE = 256
 
 

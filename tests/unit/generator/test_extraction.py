@@ -14,25 +14,10 @@ from generator.arm import ArmModel
 from generator.extraction import BONES, DETAIL_TARGETS, MACRO_TARGETS, ROOT, extract_arm
 
 # vertices 1-4 are arm, 5-6 are chest, 7-8 are the helper vertices of the hand joint
-BODY = """
-v 0 0 0
-v 1 0 0
-v 1 1 0
-v 0 1 0
-v 1 2 0
-v 0 2 0
-v 0 0 1
-v 0 0 3
-vt 0.0 1.0
-vt 0.5 1.0
-vt 0.5 0.5
-vt 0.0 0.5
-g body
-f 1/1 2/2 3/3 4/4
-f 4/4 3/3 5/2 6/1
-g joint-l-hand
-f 7/1 8/1 7/1
-"""
+POINTS = ("0 0 0", "1 0 0", "1 1 0", "0 1 0", "1 2 0", "0 2 0", "0 0 1", "0 0 3")
+UVS = ("0.0 1.0", "0.5 1.0", "0.5 0.5", "0.0 0.5")
+FACES = "g body\nf 1/1 2/2 3/3 4/4\nf 4/4 3/3 5/2 6/1\ng joint-l-hand\nf 7/1 8/1 7/1"
+BODY = "\n".join([*(f"v {point}" for point in POINTS), *(f"vt {uv}" for uv in UVS), FACES])
 
 
 @pytest.fixture

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from generator.noise import catmull_rom, distance_to_polyline, fractal_noise, smoothstep, value_noise
+from generator.noise import (
+    POINTS_PER_SEGMENT,
+    catmull_rom,
+    distance_to_polyline,
+    fractal_noise,
+    smoothstep,
+    value_noise,
+)
 
 
 @given(st.integers(0, 2**20))
@@ -52,4 +59,4 @@ def test_distance_to_polyline_matches_densely_sampled_line():
 
 def test_spline_passes_through_its_knots():
     knots = np.random.default_rng(1).normal(size=(6, 2))
-    assert np.allclose(catmull_rom(knots, 7)[::7], knots)
+    assert np.allclose(catmull_rom(knots)[::POINTS_PER_SEGMENT], knots)
