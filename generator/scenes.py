@@ -25,7 +25,7 @@ from generator.surroundings import Surroundings
 MAX_ATTEMPTS = 100
 STEP_M = 0.005
 TABLE_Z_M = 0.0
-TOOL_RADIUS_M = 0.035  # start and goal keep this distance to the border of the view
+VIEW_MARGIN_M = 0.035  # distance of start and goal to the border of the view, so that the tool is visible
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,7 +101,7 @@ def free_tool_y_m(camera: Camera, vertices_m: Array, x_m: float, settings: Scene
     """
     corners = np.array([[0.0, 0.0], [camera.width, camera.height]])
     view = camera.pixel_to_plane(corners, settings.tool_z_m)[:, :2]
-    low, high = view.min(axis=0) + TOOL_RADIUS_M, view.max(axis=0) - TOOL_RADIUS_M
+    low, high = view.min(axis=0) + VIEW_MARGIN_M, view.max(axis=0) - VIEW_MARGIN_M
     if not low[0] <= x_m <= high[0]:
         return None
     for step in range(math.ceil(high[1] / STEP_M)):
