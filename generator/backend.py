@@ -1,28 +1,25 @@
-"""Mitsuba 3, the path tracer: an optional dependency, imported here alone."""
+"""Import of Mitsuba 3, the path tracer, which is an optional dependency; no other module imports it."""
 
-import importlib.util
 from types import ModuleType
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["VARIANTS", "load_mitsuba"]
-
-# the first gives the same bytes on every run; the others are quicker and need LLVM (19) or CUDA on the machine
+# scalar_rgb gives the same bytes on every run; the others are faster and need LLVM 19 or CUDA
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb", "cuda_ad_rgb")
 
 
 def load_mitsuba(variant: str | None = None) -> ModuleType:
-    """The module with the given variant set; without one, with the variant that is set already, or the first.
+    """Import Mitsuba and select a variant; by default keep the selected variant, or select ``scalar_rgb``.
 
     Raises:
         SettingsError: the variant is unknown, or Mitsuba is not installed.
     """
     if variant is not None and variant not in VARIANTS:
         raise SettingsError(f"variant must be one of {VARIANTS}, got {variant!r}")
-    if importlib.util.find_spec("mitsuba") is None:
-        raise SettingsError("rendering needs Mitsuba 3; install it with: pip install --group generator")
-    import mitsuba
-
+    try:
+        import mitsuba
+    except ModuleNotFoundError as error:
+        raise SettingsError("rendering needs Mitsuba 3; install it with: pip install --group generator") from error
     variant = variant or mitsuba.variant() or VARIANTS[0]
     if mitsuba.variant() != variant:
         mitsuba.set_variant(variant)

@@ -1,31 +1,31 @@
-"""Who it is: the shape of the body and the look of the skin, and how people are drawn at random."""
+"""People: body shape and skin appearance, and how they are sampled."""
 
 import dataclasses
+import itertools
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
+from generator.aliases import Array
 from generator.arm import ArmModel
 
-__all__ = ["ALIKE", "Body", "Person", "Skin", "draw_person", "shaped_points_m"]
-
-Array = NDArray[np.float64]
-DECIMETRE = 0.1
-NAIL_POLISHES = ((150, 20, 40), (200, 60, 90), (30, 30, 35), (60, 90, 150), (235, 200, 195))
+METERS_PER_DECIMETER = 0.1
+NAIL_POLISHES_SRGB = ((150, 20, 40), (200, 60, 90), (30, 30, 35), (60, 90, 150), (235, 200, 195))
+ANCESTRIES = ("african", "asian", "caucasian")
 
 
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """Shape of the arm. The first four run from 0 to 1; the last four are signed, about 0.35 standard deviation.
+    """Shape of the arm, as weights of MakeHuman's targets.
 
     Attributes:
         masculinity, age, muscle, weight: 0 to 1.
-        ancestry: shares of MakeHuman's African, Asian and Caucasian targets; they are scaled to sum to one.
-        finger_diameter, finger_length, hand_scale, forearm_fat: -1 to 1.
+        ancestry: weights of the African, Asian and Caucasian targets; they are normalized to sum to one.
+        finger_diameter, finger_length, hand_scale, forearm_fat: -1 to 1; sampled with a standard deviation of 0.35.
 
     Raises:
-        SettingsError: a share is outside its range.
+        SettingsError: a value is outside its range.
     """
 
     masculinity: float = 1.0
@@ -43,21 +43,21 @@ class Body:
             if not 0 <= getattr(self, name) <= 1:
                 raise SettingsError(f"{name} must lie between 0 and 1, got {getattr(self, name)}")
         if len(self.ancestry) != 3 or min(self.ancestry) < 0 or sum(self.ancestry) <= 0:
-            raise SettingsError(f"ancestry must be three shares with a positive sum, got {self.ancestry}")
+            raise SettingsError(f"ancestry must be three weights with a positive sum, got {self.ancestry}")
 
 
 @dataclasses.dataclass(frozen=True)
 class Skin:
-    """Look of the skin.
+    """Appearance of the skin.
 
     Attributes:
         tone: 0 (lightest) to 9 (darkest).
         redness, veins, wrinkles, hair, freckles: strength, 0 (none) to about 1.
         nail_polish: sRGB 0 to 255, or None.
-        seed: of lines, veins and mottling.
+        seed: random seed of palm lines, veins and mottling.
 
     Raises:
-        SettingsError: the tone is outside of the palette.
+        SettingsError: the tone is outside its range.
     """
 
     tone: float = 2.0
@@ -82,14 +82,14 @@ class Person:
     skin: Skin
 
 
-ALIKE = (
+SIMILAR_PEOPLE = (
     Person(Body(1.0, 0.1, 0.6, 0.5), Skin(1.7, 0.7, 0.45, 0.5, hair=0.35)),
     Person(Body(0.8, 0.0, 0.5, 0.4, (0.0, 0.2, 0.8)), Skin(2.3, 0.55, 0.3, 0.4, hair=0.15)),
 )
 
 
-def draw_person(rng: np.random.Generator, tones: tuple[float, float] = (0.0, 9.0)) -> Person:
-    """Anyone: any sex, age, build, ancestry, and a skin tone uniform in ``tones``."""
+def sample_person(rng: np.random.Generator, tones: tuple[float, float] = (0.0, 9.0)) -> Person:
+    """Sample a person of any sex, age, build and ancestry, with a skin tone uniform in ``tones``."""
     masculinity = float(rng.random() < 0.5)
     age = float(rng.choice([0.0, 0.2, 0.5, 0.9], p=[0.35, 0.3, 0.2, 0.15]))
     diameter, length, scale, fat = np.clip(rng.normal(0, 0.35, 4), -1, 1).tolist()
@@ -104,8 +104,8 @@ def draw_person(rng: np.random.Generator, tones: tuple[float, float] = (0.0, 9.0
         hand_scale=scale,
         forearm_fat=fat,
     )
-    polished = rng.random() < (0.06 if masculinity else 0.35)
-    polish = NAIL_POLISHES[rng.integers(len(NAIL_POLISHES))]
+    has_polish = rng.random() < (0.06 if masculinity else 0.35)
+    polish = NAIL_POLISHES_SRGB[rng.integers(len(NAIL_POLISHES_SRGB))]
     skin = Skin(
         tone=float(rng.uniform(*tones)),
         redness=float(rng.uniform(0.2, 1)),
@@ -113,36 +113,42 @@ def draw_person(rng: np.random.Generator, tones: tuple[float, float] = (0.0, 9.0
         wrinkles=float(rng.uniform(0.2, 0.6) + 0.6 * age),
         hair=float(masculinity * rng.uniform(0, 0.8)),
         freckles=float((rng.random() < 0.2) * rng.uniform(0.3, 0.9)),
-        nail_polish=polish if polished else None,
+        nail_polish=polish if has_polish else None,
         seed=int(rng.integers(1 << 20)),
     )
     return Person(body, skin)
 
 
 def shaped_points_m(arm: ArmModel, body: Body) -> Array:
-    """The model's points (P, 3) in metres with the targets of ``body`` applied (MakeHuman's macro details)."""
-    points = arm.points_dm.copy()
-    shares = np.array(body.ancestry) / sum(body.ancestry)
-    for sex, of_sex in (("female", 1 - body.masculinity), ("male", body.masculinity)):
-        for years, of_years in (("young", 1 - body.age), ("old", body.age)):
-            share = of_sex * of_years
-            for ancestry, of_ancestry in zip(("african", "asian", "caucasian"), shares, strict=True):
-                points += share * of_ancestry * arm.targets[f"{ancestry}-{sex}-{years}"]
-            for muscle, of_muscle in _thirds(body.muscle).items():
-                for weight, of_weight in _thirds(body.weight).items():
-                    target = arm.targets.get(f"universal-{sex}-{years}-{muscle}muscle-{weight}weight")
-                    if target is not None:
-                        points += share * of_muscle * of_weight * target
+    """Return the model's points (P, 3) in meters with the shape targets of ``body`` applied."""
     details = {
         "l-hand-fingers-diameter": body.finger_diameter,
         "l-hand-fingers-length": body.finger_length,
         "l-hand-scale": body.hand_scale,
         "l-lowerarm-fat": body.forearm_fat,
     }
-    for name, amount in details.items():
-        points += abs(amount) * arm.targets[f"{name}-{'incr' if amount > 0 else 'decr'}"]
-    return points * DECIMETRE
+    points = arm.points_dm.copy()
+    for target, weight in macro_target_weights(body):
+        if target in arm.targets:
+            points += weight * arm.targets[target]
+    for target, amount in details.items():
+        points += abs(amount) * arm.targets[f"{target}-{'incr' if amount > 0 else 'decr'}"]
+    return points * METERS_PER_DECIMETER
 
 
-def _thirds(x: float) -> dict[str, float]:
-    return {"min": max(0.0, 1 - 2 * x), "average": 1 - abs(2 * x - 1), "max": max(0.0, 2 * x - 1)}
+def macro_target_weights(body: Body) -> Iterator[tuple[str, float]]:
+    """Yield the name and weight of each of MakeHuman's macro targets; MakeHuman has no file for some of the names."""
+    ancestry_weights = np.array(body.ancestry) / sum(body.ancestry)
+    sexes = (("female", 1 - body.masculinity), ("male", body.masculinity))
+    ages = (("young", 1 - body.age), ("old", body.age))
+    for (sex, sex_weight), (age, age_weight) in itertools.product(sexes, ages):
+        base = sex_weight * age_weight
+        for ancestry, weight in zip(ANCESTRIES, ancestry_weights, strict=True):
+            yield f"{ancestry}-{sex}-{age}", base * weight
+        for (muscle, muscle_weight), (fat, fat_weight) in itertools.product(_levels(body.muscle), _levels(body.weight)):
+            yield f"universal-{sex}-{age}-{muscle}muscle-{fat}weight", base * muscle_weight * fat_weight
+
+
+def _levels(x: float) -> tuple[tuple[str, float], ...]:
+    """Linear interpolation weights of the levels min (0), average (0.5) and max (1)."""
+    return ("min", max(0.0, 1 - 2 * x)), ("average", 1 - abs(2 * x - 1)), ("max", max(0.0, 2 * x - 1))

@@ -1,32 +1,16 @@
-"""A picture in words and numbers, all that was drawn at random, in JSON-friendly values."""
+"""The recipe of a picture: all sampled parameters, as values that JSON can represent. Colors are linear RGB."""
 
 import dataclasses
 
+from generator.aliases import Point, Rgb
 from generator.person import Person
 from generator.pose import Pose
 from generator.webcam import Webcam
 
-__all__ = [
-    "Ground",
-    "Held",
-    "InAir",
-    "LampPlace",
-    "Light",
-    "OnTable",
-    "Orbit",
-    "Overhead",
-    "Recipe",
-    "Sleeve",
-    "Wall",
-    "Worn",
-]
-
-Rgb = tuple[float, float, float]
-
 
 @dataclasses.dataclass(frozen=True)
-class OnTable:
-    """The hand lies on the table, or hovers: turned about the vertical by ``yaw_rad`` (0: fingers along x)."""
+class TablePlacement:
+    """A hand on or above the table; at yaw 0 the fingers point along x."""
 
     yaw_rad: float
     roll_rad: float = 0.0
@@ -37,29 +21,35 @@ class OnTable:
 
 
 @dataclasses.dataclass(frozen=True)
-class InAir:
-    """The hand is held up: leaning sideways, turned about its axis, tilted towards the camera."""
+class AirPlacement:
+    """A raised hand with vertical fingers: sideways lean, rotation about the fingers, tilt towards the camera."""
 
-    lean_rad: float
-    facing_rad: float
-    tilt_rad: float
+    roll_rad: float
+    yaw_rad: float
+    pitch_rad: float
 
 
 @dataclasses.dataclass(frozen=True)
-class Orbit:
-    """A camera around the hand, so far away that the hand fills the picture's height ``fill`` times."""
+class OrbitView:
+    """A camera on a sphere around the hand.
+
+    Attributes:
+        magnification: diameter of the hand's bounding sphere divided by the image height at the hand.
+        aim_m: offset of the aim point from the middle of the hand.
+        roll_slope: x component of the up vector (roll_slope, 0, 1), for raised hands.
+    """
 
     elevation_rad: float
     azimuth_rad: float
-    fill: float
-    aim_m: tuple[float, float, float]
-    roll: float = 0.0
+    magnification: float
+    aim_m: Point
+    roll_slope: float = 0.0
     horizontal_fov_deg: float = 48.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Overhead:
-    """The camera of the scenes: straight above the middle of the table."""
+class OverheadView:
+    """The camera of scenes, vertically above the middle of the table."""
 
     height_m: float = 0.5
     horizontal_fov_deg: float = 45.2
@@ -67,90 +57,97 @@ class Overhead:
 
 @dataclasses.dataclass(frozen=True)
 class Sleeve:
-    """Cloth that begins ``starts_m`` behind the wrist; colour linear."""
+    """A cloth sleeve that starts ``wrist_distance_m`` behind the wrist."""
 
-    starts_m: float
-    colour: Rgb
+    wrist_distance_m: float
+    color: Rgb
     seed: int
 
 
 @dataclasses.dataclass(frozen=True)
-class Worn:
-    """What the hand wears. Straps and rings count as hand, sleeves do not."""
+class Accessories:
+    """Worn accessories. The mask includes watch strap and ring, but not the sleeve."""
 
     sleeve: Sleeve | None = None
-    strap: Rgb | None = None
+    strap_color: Rgb | None = None
     ring: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
-class Held:
-    """A rod in the hand."""
+class Rod:
+    """A rod held in the hand."""
 
     radius_m: float
-    colour: Rgb
+    color: Rgb
     roughness: float
 
 
 @dataclasses.dataclass(frozen=True)
-class LampPlace:
-    """A square lamp at ``offset_m`` from the hand's middle."""
+class LampSettings:
+    """A square lamp, ``offset_m`` from the middle of the hand."""
 
-    offset_m: tuple[float, float, float]
-    half_m: float
+    offset_m: Point
+    half_size_m: float
     radiance: Rgb
 
 
 @dataclasses.dataclass(frozen=True)
-class Light:
-    """An environment map scaled to a mean radiance of ``level`` (None: even light of ``colour``), and a lamp."""
+class Lighting:
+    """An environment map scaled to ``mean_radiance``, and a lamp; without a map, uniform light of ``color``."""
 
     map: str | None
     map_seed: int
-    turn_deg: float
-    level: float
-    lamp: LampPlace
-    colour: Rgb = (1.0, 1.0, 1.0)
+    rotation_deg: float
+    mean_radiance: float
+    lamp: LampSettings
+    color: Rgb = (1.0, 1.0, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
-class Ground:
-    """The table: its surface, and how many things lie about."""
+class SurfaceTexture:
+    """Texture and finish of a table or wall; ``repeats`` and ``uv_*`` transform the texture.
 
-    surface: str
-    colour: Rgb
+    Attributes:
+        name: one of `Surroundings.surface_names`.
+        color, seed: of a procedural texture.
+    """
+
+    name: str
+    color: Rgb
     seed: int
-    repeats_per_m: float = 2.0
-    turn_deg: float = 0.0
-    shift: tuple[float, float] = (0.0, 0.0)
+    repeats: float
+    uv_rotation_deg: float = 0.0
+    uv_offset: tuple[float, float] = (0.0, 0.0)
     roughness: float = 0.55
     specular: float = 0.25
-    clutter: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """The table and the number of objects on it."""
+
+    surface: SurfaceTexture
+    clutter_count: int = 0
     clutter_seed: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
 class Wall:
-    """A wall behind a hand in the air."""
+    """A wall behind a raised hand, rotated about the vertical."""
 
-    surface: str
-    colour: Rgb
-    seed: int
+    surface: SurfaceTexture
     distance_m: float
-    turn_deg: float
-    repeats: float
-    pattern_turn_deg: float
-    shift: tuple[float, float]
+    rotation_deg: float
 
 
 @dataclasses.dataclass(frozen=True)
 class Recipe:
-    """One picture.
+    """All parameters of one picture.
 
     Attributes:
-        seed, index: from which it was drawn.
-        place: "above", "desk", "room", "wall" or "scene".
-        right_hand: mirrored, the model is a left arm.
+        seed, index: random seed of the set and index in the set.
+        place: one of ``PLACES``, or "scene".
+        right_hand: mirror the model, which is a left arm.
     """
 
     seed: int
@@ -159,11 +156,11 @@ class Recipe:
     person: Person
     pose: Pose
     right_hand: bool
-    placement: OnTable | InAir
-    view: Orbit | Overhead
-    worn: Worn
-    held: Held | None
-    light: Light
-    ground: Ground | None
+    placement: TablePlacement | AirPlacement
+    view: OrbitView | OverheadView
+    accessories: Accessories
+    rod: Rod | None
+    light: Lighting
+    table: Table | None
     wall: Wall | None
     webcam: Webcam

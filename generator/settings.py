@@ -1,4 +1,4 @@
-"""What a set of pictures is to hold: how many, how diverse, whose hands, from where."""
+"""Settings of a set of hands or scenes."""
 
 import dataclasses
 
@@ -6,24 +6,22 @@ from deltasafe.errors import SettingsError
 from generator.backend import VARIANTS
 from generator.pose import POSES
 
-__all__ = ["PLACES", "TEST_LIKE", "TRAIN_LIKE", "HandSetSettings", "PictureSettings", "SceneSettings"]
-
-PLACES = ("above", "desk", "room", "wall")
-LYING = ("flat", "together", "relaxed", "spread", "point", "fist", "pinch", "grip")
-FREE = tuple(POSES)
+TABLE_PLACES, AIR_PLACES = ("above", "desk"), ("room", "wall")
+PLACES = TABLE_PLACES + AIR_PLACES
+TABLE_POSES = ("flat", "together", "relaxed", "spread", "point", "fist", "pinch", "grip")
 
 
 @dataclasses.dataclass(frozen=True)
 class PictureSettings:
-    """What every picture needs.
+    """Settings that hands and scenes share.
 
     Attributes:
-        seed: of the whole set; picture i is a function of seed and i.
+        seed: random seed of the set; picture i is a function of seed and i.
         width, height: pixels.
-        samples_per_pixel: paths of the path tracer; 64 is enough with the scattering that smooths skin.
+        samples_per_pixel: paths per pixel of the path tracer; 64 suffices because subsurface scattering removes noise.
         tones: range of skin tones, 0 (lightest) to 9 (darkest).
-        poses: names out of ``POSES``; empty: those that suit the place.
-        variant: of Mitsuba; ``scalar_rgb`` gives the same bytes on every run.
+        poses: names out of ``POSES``; if empty, the default poses of each place.
+        variant: variant of Mitsuba; ``scalar_rgb`` gives the same bytes on every run.
 
     Raises:
         SettingsError: a setting is outside its domain.
@@ -53,50 +51,51 @@ class PictureSettings:
 
 @dataclasses.dataclass(frozen=True)
 class HandSetSettings(PictureSettings):
-    """A set of labelled pictures of hands; see ``TRAIN_LIKE`` and ``TEST_LIKE``.
+    """Settings of a set of labeled hands; see ``TRAIN_LIKE`` and ``TEST_LIKE``.
 
     Attributes:
-        two_alike: two similar light-skinned people instead of anyone.
-        places: where hands are seen, out of ``PLACES``: from above on a desk, obliquely on a desk, held up in a room or
-            in the open, held up before a wall.
-        shares: share of each place.
-        elevation_deg: range of the camera's elevation for pictures from above.
-        plain: two nearly equal plain desks, one light and a good camera instead of everything that occurs.
-        worn: sleeves, watches, rings and things held in the hand occur.
+        similar_people: use two similar light-skinned people instead of random people.
+        places: where the hand is, out of ``PLACES``: on a desk seen from above ("above"), on a desk seen obliquely
+            ("desk"), raised in a room or outdoors ("room"), raised in front of a wall ("wall").
+        place_weights: relative frequency of each place.
+        elevation_deg: range of the camera's elevation for the place "above".
+        controlled_conditions: use two similar plain desks, one light and a good camera instead of random ones.
+        accessories: add sleeves, watches, rings and held objects.
     """
 
-    two_alike: bool = False
+    similar_people: bool = False
     places: tuple[str, ...] = PLACES
-    shares: tuple[float, ...] = (0.2, 0.3, 0.27, 0.23)
+    place_weights: tuple[float, ...] = (0.2, 0.3, 0.27, 0.23)
     elevation_deg: tuple[float, float] = (72.0, 90.0)
-    plain: bool = False
-    worn: bool = True
+    controlled_conditions: bool = False
+    accessories: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.places or set(self.places) - set(PLACES):
             raise SettingsError(f"places must be some of {PLACES}, got {self.places}")
-        if len(self.shares) != len(self.places) or min(self.shares) < 0 or sum(self.shares) <= 0:
-            raise SettingsError(f"shares must be one number for each of {self.places}, got {self.shares}")
+        weights = self.place_weights
+        if len(weights) != len(self.places) or min(weights) < 0 or sum(weights) <= 0:
+            raise SettingsError(f"place_weights must be one number for each of {self.places}, got {weights}")
         if not 0 < self.elevation_deg[0] <= self.elevation_deg[1] <= 90:
             raise SettingsError(f"elevation_deg must be a range within 0 and 90, got {self.elevation_deg}")
-        if self.plain and set(self.places) - {"above", "desk"}:
-            raise SettingsError(f"plain pictures need a desk: places 'above' or 'desk', got {self.places}")
+        if self.controlled_conditions and set(self.places) - set(TABLE_PLACES):
+            raise SettingsError(f"controlled_conditions needs places out of {TABLE_PLACES}, got {self.places}")
 
     def poses_at(self, place: str) -> tuple[str, ...]:
-        """Poses that occur at a place."""
-        return self.poses or (LYING if place in ("above", "desk") else FREE)
+        """Return the names of the poses that may occur at a place."""
+        return self.poses or (TABLE_POSES if place in TABLE_PLACES else tuple(POSES))
 
 
 @dataclasses.dataclass(frozen=True)
 class SceneSettings(PictureSettings):
-    """Scenes as a webcam above the table logs them, with the true mesh.
+    """Settings of scenes: a webcam above a table, the task, and the true mesh.
 
     Attributes:
-        camera_height_m: above the table.
-        tool_x_m: start and goal lie at -x and +x.
-        tool_z_m: their height.
-        clearance_m: smallest distance of start and goal to the hand, seen from above.
+        camera_height_m: height of the camera above the table.
+        tool_x_m: the start is at x = -tool_x_m and the goal at x = +tool_x_m.
+        tool_z_m: height of start and goal.
+        clearance_m: minimum horizontal distance from start and goal to the hand.
     """
 
     width: int = 640
@@ -113,8 +112,10 @@ class SceneSettings(PictureSettings):
             if not getattr(self, name) > 0:
                 raise SettingsError(f"{name} must be positive, got {getattr(self, name)}")
         if not self.poses:
-            raise SettingsError("scenes need at least one pose")
+            raise SettingsError("poses must name at least one pose for scenes")
 
 
 TEST_LIKE = HandSetSettings()
-TRAIN_LIKE = HandSetSettings(two_alike=True, places=("above",), shares=(1.0,), plain=True, worn=False)
+TRAIN_LIKE = HandSetSettings(
+    similar_people=True, places=("above",), place_weights=(1.0,), controlled_conditions=True, accessories=False
+)

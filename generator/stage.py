@@ -1,4 +1,4 @@
-"""What stands before the camera, as plain values: shapes, materials, lights. Metres, z up; colours are linear."""
+"""The content of a picture as plain values: meshes, shapes, materials, lights, camera. Meters, z up, linear colors."""
 
 import dataclasses
 import math
@@ -7,74 +7,55 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltasafe.scene import Camera
-from generator.surface_mesh import unit
-
-__all__ = [
-    "Ball",
-    "Box",
-    "Cloth",
-    "Cylinder",
-    "Disk",
-    "Environment",
-    "Lamp",
-    "Material",
-    "Panel",
-    "Shape",
-    "SkinMesh",
-    "Stage",
-    "camera_looking_at",
-]
-
-Array = NDArray[np.float64]
-Rgb = tuple[float, float, float]
-Point = tuple[float, float, float]
+from generator.aliases import Array, Point, Quads, Rgb
+from generator.surface_mesh import normalized
 
 
 @dataclasses.dataclass(frozen=True)
 class Material:
-    """A surface of one colour, or with a texture (H, W, 3) that repeats ``tiles`` times, turned and shifted."""
+    """A surface of one color, or with a texture (H, W, 3) that is repeated, rotated and shifted."""
 
-    colour: Rgb = (0.5, 0.5, 0.5)
+    color: Rgb = (0.5, 0.5, 0.5)
     texture: Array | None = None
-    tiles: float = 1.0
-    turn_deg: float = 0.0
-    shift: tuple[float, float] = (0.0, 0.0)
+    repeats: float = 1.0
+    uv_rotation_deg: float = 0.0
+    uv_offset: tuple[float, float] = (0.0, 0.0)
     roughness: float = 0.6
     specular: float = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
 class SkinMesh:
-    """Counts as hand: vertices (V, 3), faces (F, 4), albedo (V, 3), roughness (V,)."""
+    """A mesh that is part of the mask: vertices (V, 3), faces (F, 4), albedo (V, 3), roughness (V,)."""
 
     vertices_m: Array
-    quads: NDArray[np.int64]
+    quads: Quads
     albedo: Array
     roughness: Array
 
 
 @dataclasses.dataclass(frozen=True)
-class Cloth:
-    """A thin mesh that hides the hand: a sleeve."""
+class ClothMesh:
+    """A thin mesh that occludes the hand, such as a sleeve."""
 
     vertices_m: Array
-    quads: NDArray[np.int64]
+    quads: Quads
     material: Material
 
 
 @dataclasses.dataclass(frozen=True)
 class Box:
-    """Half sizes along its own axes, turned about the vertical."""
+    """A box, rotated about the vertical."""
 
-    centre_m: Point
-    half_m: Point
-    turn_deg: float
+    center_m: Point
+    half_size_m: Point
+    rotation_deg: float
     material: Material
 
 
 @dataclasses.dataclass(frozen=True)
 class Cylinder:
-    """Open at both ends."""
+    """A cylinder without end caps."""
 
     start_m: Point
     end_m: Point
@@ -84,73 +65,73 @@ class Cylinder:
 
 @dataclasses.dataclass(frozen=True)
 class Disk:
-    """Horizontal."""
+    """A horizontal disk."""
 
-    centre_m: Point
+    center_m: Point
     radius_m: float
     material: Material
 
 
 @dataclasses.dataclass(frozen=True)
-class Ball:
+class Sphere:
     """A sphere."""
 
-    centre_m: Point
+    center_m: Point
     radius_m: float
     material: Material
 
 
 @dataclasses.dataclass(frozen=True)
 class Panel:
-    """A square, horizontal, or upright and turned about the vertical."""
+    """A square, horizontal or vertical, rotated about the vertical."""
 
-    centre_m: Point
-    half_m: float
-    upright: bool
-    turn_deg: float
+    center_m: Point
+    half_size_m: float
+    vertical: bool
+    rotation_deg: float
     material: Material
 
 
-Shape = Box | Cylinder | Disk | Ball | Panel
+Shape = Box | Cylinder | Disk | Sphere | Panel
 
 
 @dataclasses.dataclass(frozen=True)
 class Lamp:
-    """A square that shines towards ``target_m``."""
+    """A square area light that faces ``target_m``."""
 
     position_m: Point
     target_m: Point
-    half_m: float
+    half_size_m: float
     radiance: Rgb
 
 
 @dataclasses.dataclass(frozen=True)
 class Environment:
-    """Light from all around: (H, W, 3) radiance by latitude (row 0 is the zenith) and longitude."""
+    """An equirectangular environment map (H, W, 3) of radiance; row 0 is the zenith."""
 
     radiance: NDArray[np.float32]
-    turn_deg: float = 0.0
+    rotation_deg: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Stage:
-    """All that a picture shows."""
+    """Everything that a picture shows."""
 
     camera: Camera
     hand: tuple[SkinMesh, ...]
-    cloths: tuple[Cloth, ...]
+    sleeve: ClothMesh | None
     shapes: tuple[Shape, ...]
-    lamps: tuple[Lamp, ...]
+    lamp: Lamp
     environment: Environment
 
 
 def camera_looking_at(
     position_m: ArrayLike, target_m: ArrayLike, up: ArrayLike, horizontal_fov_deg: float, width: int, height: int
 ) -> Camera:
-    """A pinhole camera with square pixels and its principal point in the middle."""
+    """Return a pinhole camera with square pixels and a centered principal point."""
     position = np.asarray(position_m, dtype=float)
-    forward = unit(np.asarray(target_m, dtype=float) - position)
-    right = unit(np.cross(forward, np.asarray(up, dtype=float)))
+    forward = normalized(np.asarray(target_m, dtype=float) - position)
+    right = normalized(np.cross(forward, np.asarray(up, dtype=float)))
     focal = width / 2 / math.tan(math.radians(horizontal_fov_deg) / 2)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
     return Camera(width, height, focal, focal, width / 2, height / 2, position, axes)

@@ -1,33 +1,31 @@
-"""Light that enters skin leaves it some millimetres away, red farther than blue: scattering in screen space.
+"""Subsurface scattering of skin in screen space; red light travels farther below the surface than blue light.
 
-The diffuse light on the skin is what is left of the picture without its highlights, divided by the albedo. Blurring it
-by the skin's diffusion profile (a sum of Gaussians for each colour, after d'Eon and Luebke 2007) also takes the noise
-out.
+The diffuse irradiance is the picture without specular highlights, divided by the albedo. It is blurred with the
+diffusion profile of skin, a sum of Gaussians for each color channel (d'Eon and Luebke 2007). The blur also removes the
+noise of the path tracer.
 """
 
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-__all__ = ["SkinLayers", "scatter"]
+from generator.aliases import Array, Mask
 
-Array = NDArray[np.float64]
-# (weight, standard deviation in millimetres) for red, green, blue
+# (weight, standard deviation in millimeters) for red, green, blue
 PROFILES = (((0.45, 0.7), (0.3, 2.2), (0.25, 5.0)), ((0.6, 0.6), (0.4, 1.6)), ((0.7, 0.5), (0.3, 1.0)))
-WHOLLY_SKIN = 0.995
+FULL_COVERAGE = 0.995
 
 
 @dataclasses.dataclass(frozen=True)
-class SkinLayers:
-    """What scattering needs beside the picture.
+class SkinBuffers:
+    """Auxiliary images of the skin.
 
     Attributes:
-        specular: (H, W, 3) highlights alone.
+        specular: (H, W, 3) radiance of the specular highlights.
         albedo: (H, W, 3).
-        pixel_mm: (H, W) width of a pixel on the surface that it shows.
-        coverage: (H, W) share of skin.
+        pixel_mm: (H, W) width of a pixel, projected to the surface.
+        coverage: (H, W) fraction of skin.
     """
 
     specular: Array
@@ -36,25 +34,24 @@ class SkinLayers:
     coverage: Array
 
 
-def scatter(full: Array, skin: SkinLayers) -> Array:
-    """The picture (H, W, 3) with light scattered below the skin; pixels that are not wholly skin stay as they are."""
-    inside = skin.coverage > WHOLLY_SKIN
+def scatter(radiance: Array, skin: SkinBuffers) -> Array:
+    """Apply subsurface scattering to a picture (H, W, 3); pixels that are not fully skin do not change."""
+    inside = skin.coverage > FULL_COVERAGE
     if not inside.any():
-        return full
+        return radiance
     pixel_mm = float(np.median(skin.pixel_mm[inside]))
-    light = np.where(inside[..., None], np.maximum(full - skin.specular, 0) / np.maximum(skin.albedo, 0.004), 0)
-    diffused = np.stack([_diffused(light[..., c], inside, pixel_mm, PROFILES[c]) for c in range(3)], axis=-1)
+    irradiance = np.maximum(radiance - skin.specular, 0) / np.maximum(skin.albedo, 0.004)
+    irradiance = np.where(inside[..., None], irradiance, 0)
+    diffused = np.stack([_diffuse(irradiance[..., c], inside, pixel_mm, PROFILES[c]) for c in range(3)], axis=-1)
     highlights = np.minimum(skin.specular, np.percentile(skin.specular[inside], 99.5))
     highlights = gaussian_filter(highlights, (0.8, 0.8, 0))
-    return np.where(inside[..., None], skin.albedo * diffused + highlights, full)
+    return np.where(inside[..., None], skin.albedo * diffused + highlights, radiance)
 
 
-def _diffused(
-    light: Array, inside: NDArray[np.bool_], pixel_mm: float, profile: tuple[tuple[float, float], ...]
-) -> Array:
-    total = np.zeros_like(light)
-    for weight, spread_mm in profile:
-        sigma = spread_mm / pixel_mm
-        share = np.maximum(gaussian_filter(inside.astype(float), sigma), 1e-3)
-        total += weight * gaussian_filter(light, sigma) / share
+def _diffuse(irradiance: Array, inside: Mask, pixel_mm: float, profile: tuple[tuple[float, float], ...]) -> Array:
+    total = np.zeros_like(irradiance)
+    for weight, sigma_mm in profile:
+        sigma_px = sigma_mm / pixel_mm
+        inside_fraction = np.maximum(gaussian_filter(inside.astype(float), sigma_px), 1e-3)
+        total += weight * gaussian_filter(irradiance, sigma_px) / inside_fraction
     return total

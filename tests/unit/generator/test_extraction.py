@@ -1,4 +1,4 @@
-"""Cutting the arm out of MakeHuman's data, on a made-up body of two quadrilaterals."""
+"""Extraction of the arm from MakeHuman's data, on a synthetic body of two quadrilaterals."""
 
 import gzip
 import io
@@ -11,28 +11,13 @@ from PIL import Image
 
 from deltasafe.errors import DataError
 from generator.arm import ArmModel
-from generator.extraction import AGES, ANCESTRIES, BONES, DETAILS, ROOT, SEXES, extract_arm
+from generator.extraction import BONES, DETAIL_TARGETS, MACRO_TARGETS, ROOT, extract_arm
 
-# quadrilateral 1-4 is arm, 3-6 is chest but for two vertices; 7 and 8 are the joint of the hand
-BODY = """
-v 0 0 0
-v 1 0 0
-v 1 1 0
-v 0 1 0
-v 1 2 0
-v 0 2 0
-v 0 0 1
-v 0 0 3
-vt 0.0 1.0
-vt 0.5 1.0
-vt 0.5 0.5
-vt 0.0 0.5
-g body
-f 1/1 2/2 3/3 4/4
-f 4/4 3/3 5/2 6/1
-g joint-l-hand
-f 7/1 8/1 7/1
-"""
+# vertices 1-4 are arm, 5-6 are chest, 7-8 are the helper vertices of the hand joint
+POINTS = ("0 0 0", "1 0 0", "1 1 0", "0 1 0", "1 2 0", "0 2 0", "0 0 1", "0 0 3")
+UVS = ("0.0 1.0", "0.5 1.0", "0.5 0.5", "0.0 0.5")
+FACES = "g body\nf 1/1 2/2 3/3 4/4\nf 4/4 3/3 5/2 6/1\ng joint-l-hand\nf 7/1 8/1 7/1"
+BODY = "\n".join([*(f"v {point}" for point in POINTS), *(f"vt {uv}" for uv in UVS), FACES])
 
 
 @pytest.fixture
@@ -42,8 +27,9 @@ def wheel(tmp_path):
     weights["wrist.L"] = [[0, 1.0], [1, 0.5], [2, 0.8], [3, 0.9]]
     weights["metacarpal1.L"] = [[1, 0.5]]
     weights["chest"] = [[2, 0.2], [3, 0.1], [4, 1.0], [5, 1.0]]
-    names = [f"macrodetails/{a}-{s}-{age}" for a in ANCESTRIES for s in SEXES for age in AGES]
-    names += [f"{folder}/{d}-{sign}" for folder, all_ in DETAILS.items() for d in all_ for sign in ("incr", "decr")]
+    names = [f"macrodetails/{name}" for name in MACRO_TARGETS if not name.startswith("universal")]
+    details = [f"{folder}/{name}" for folder, names_ in DETAIL_TARGETS.items() for name in names_]
+    names += [f"{name}-{sign}" for name in details for sign in ("incr", "decr")]
     nail = io.BytesIO()
     picture = np.zeros((2048, 2048), dtype=np.uint8)
     picture[:1024, :1024] = 255
@@ -59,7 +45,7 @@ def wheel(tmp_path):
     return path
 
 
-def test_what_belongs_to_the_arm_is_kept_and_renumbered(wheel, tmp_path):
+def test_extraction_keeps_and_renumbers_vertices_of_arm(wheel, tmp_path):
     assert extract_arm(wheel, tmp_path / "arm.npz") is False
     with np.load(tmp_path / "arm.npz") as arrays:
         assert arrays["nmesh"] == 4
@@ -75,12 +61,12 @@ def test_what_belongs_to_the_arm_is_kept_and_renumbered(wheel, tmp_path):
         assert arrays["T"][0].tolist()[5] == [0, 0, 2]
 
 
-def test_the_packaged_model_has_these_bones():
+def test_packaged_model_has_extracted_bones():
     assert ArmModel.load().bones == BONES
 
 
-@pytest.mark.parametrize("content", [b"no wheel", None])
-def test_another_file_is_refused_and_nothing_is_written(tmp_path, content):
+@pytest.mark.parametrize("content", [b"not a wheel", None])
+def test_invalid_wheel_raises_data_error_without_output(tmp_path, content):
     path = tmp_path / "thing.whl"
     if content is None:
         with zipfile.ZipFile(path, "w") as archive:

@@ -1,4 +1,4 @@
-"""Sets and scenes on disk, with stand-ins for skin and path tracer: form, resumption, registry, refusals, commands."""
+"""Sets and scenes on disk, with a fake renderer: format, resumption, registry, rejected settings, command line."""
 
 import dataclasses
 import subprocess
@@ -16,16 +16,19 @@ from deltasafe.scene import load_scenes
 from generator import (
     TEST_LIKE,
     TRAIN_LIKE,
-    CollisionArrays,
     SceneSettings,
+    Surroundings,
     hand_sets,
     make_hands,
     make_scenes,
+    picture_folder,
+    sample_hand_recipe,
     scenes,
-    staging,
+    stage_building,
 )
 from generator.__main__ import main
 from generator.arm import ArmModel
+from generator.placement import place_hand
 from generator.render import Picture
 from generator.scenes import plan_scene
 from generator.skin import PaintedSkin
@@ -35,7 +38,7 @@ SMALL_SCENES = SceneSettings(width=64, height=48, samples_per_pixel=1)
 
 
 class OutlineRenderer:
-    """Marks the pixels that the hand's vertices fall on, and counts its pictures."""
+    """Fake renderer: covers the pixels of the projected vertices, and counts rendered pictures."""
 
     rendered = 0
 
@@ -55,21 +58,21 @@ class OutlineRenderer:
 
 
 @pytest.fixture(autouse=True)
-def no_path_tracer(monkeypatch):
+def fake_renderer(monkeypatch):
     OutlineRenderer.rendered = 0
     for module in (hand_sets, scenes):
         monkeypatch.setattr(module, "Renderer", OutlineRenderer)
     n_vertices = ArmModel.load().refinements[-1].matrix.shape[0]
     bare = PaintedSkin(np.zeros((n_vertices, 3)), np.zeros(n_vertices), np.zeros(n_vertices))
-    monkeypatch.setattr(staging, "Regions", types.SimpleNamespace(of=lambda arm, skeleton: None))
-    monkeypatch.setattr(staging, "paint", lambda regions, skin, pose: bare)
+    monkeypatch.setattr(stage_building, "Regions", types.SimpleNamespace(from_skeleton=lambda arm, skeleton: None))
+    monkeypatch.setattr(stage_building, "paint_skin", lambda regions, skin, pose: bare)
 
 
 def contents(folder):
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_set_is_read_by_the_project_and_grows_and_goes_on_without_change(tmp_path):
+def test_resumed_and_extended_set_equals_set_made_in_one_run(tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     make_hands(whole, 3, SMALL)
     hands = LabeledImageSet.load(whole, whole / "registry.sha256")
@@ -77,18 +80,27 @@ def test_a_set_is_read_by_the_project_and_grows_and_goes_on_without_change(tmp_p
     assert hands.read(0)[0].shape == (48, 64, 3)
 
     make_hands(parts, 2, SMALL)
-    (parts / "recipes" / "hand_0001.json").unlink()  # as if it had been killed while it wrote the second picture
+    (parts / "recipes" / "hand_0001.json").unlink()  # as after an interruption during the second picture
     (parts / "images" / "hand_0001.jpg").write_bytes(b"half")
     OutlineRenderer.rendered = 0
     make_hands(parts, 3, SMALL)
     assert OutlineRenderer.rendered == 2
-    same, other = contents(whole), contents(parts)
-    for files in (same, other):
-        files.pop("README.md")  # names the folder
-    assert same == other
+    one, other = contents(whole), contents(parts)
+    for files in (one, other):
+        files.pop("README.md")  # contains the folder's name
+    assert one == other
 
 
-def test_other_settings_or_surroundings_are_refused_before_anything_is_written(tmp_path):
+def test_mask_is_hand_where_at_least_half_is_covered():
+    coverage = np.array([[0.0, 0.49, 0.5, 1.0]])
+    renderer = types.SimpleNamespace(render=lambda stage, samples, seed: Picture(np.ones((1, 4, 3)), coverage))
+    recipe = sample_hand_recipe(SMALL, Surroundings(), 0)
+    hand = place_hand(recipe)
+    _, mask = picture_folder.render_image_and_mask(renderer, recipe, hand, Surroundings(), SMALL)
+    assert cv2.imdecode(np.frombuffer(mask, np.uint8), cv2.IMREAD_UNCHANGED).tolist() == [[0, 0, 255, 255]]
+
+
+def test_other_settings_or_surroundings_raise_before_any_output(tmp_path):
     make_hands(tmp_path / "set", 1, SMALL)
     before = contents(tmp_path / "set")
     with pytest.raises(DataError, match="settings"):
@@ -96,7 +108,7 @@ def test_other_settings_or_surroundings_are_refused_before_anything_is_written(t
     (tmp_path / "surfaces").mkdir()
     (tmp_path / "surfaces" / "oak.png").write_bytes(b"")
     with pytest.raises(DataError, match="surroundings"):
-        make_hands(tmp_path / "set", 2, SMALL, CollisionArrays.find(tmp_path))
+        make_hands(tmp_path / "set", 2, SMALL, Surroundings.find(tmp_path))
     assert contents(tmp_path / "set") == before
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
@@ -104,7 +116,7 @@ def test_other_settings_or_surroundings_are_refused_before_anything_is_written(t
         make_hands(tmp_path / "mine", 1, SMALL)
 
 
-def test_the_datasheet_counts_what_is_there_and_names_its_sources(tmp_path):
+def test_datasheet_counts_pictures_and_names_sources(tmp_path):
     make_hands(tmp_path / "set", 2, dataclasses.replace(TRAIN_LIKE, width=64, height=48))
     text = (tmp_path / "set" / "README.md").read_text()
     assert "2 pairs" in text
@@ -114,12 +126,12 @@ def test_the_datasheet_counts_what_is_there_and_names_its_sources(tmp_path):
     assert "CC0 1.0" in text
 
 
-def test_scenes_are_read_by_the_project_and_agree_with_their_plan(tmp_path):
-    said = []
-    make_scenes(tmp_path, 2, SMALL_SCENES, progress=lambda done, total, message: said.append((done, total)))
-    assert said == [(0, 2), (1, 2), (2, 2)]
+def test_scenes_load_and_match_their_plan(tmp_path):
+    reports = []
+    make_scenes(tmp_path, 2, SMALL_SCENES, progress=lambda done, total, message: reports.append((done, total)))
+    assert reports == [(0, 2), (1, 2), (2, 2)]
     for index, scene in enumerate(load_scenes(tmp_path)):
-        plan = plan_scene(SMALL_SCENES, CollisionArrays(), index)
+        plan = plan_scene(SMALL_SCENES, Surroundings(), index)
         assert scene.id == f"scene_{index:03d}"
         assert scene.hand_height_m == plan.hand_height_m
         assert (scene.start.x_m, scene.start.y_m, scene.start.z_m) == (-0.15, plan.start_y_m, 0.03)
@@ -134,11 +146,11 @@ def test_scenes_are_read_by_the_project_and_agree_with_their_plan(tmp_path):
     assert contents(tmp_path) == before
 
 
-def test_the_command_line_makes_what_it_is_told_to(tmp_path, capsys):
+def test_command_line_applies_options(tmp_path, capsys):
     small = ["--width", "64", "--height", "48", "--samples", "1", "--surroundings", str(tmp_path / "none")]
     out = tmp_path / "hands"
-    told = ["--set", "train-like", "--tones", "8", "9", "--poses", "fist", "claw", "--places", "desk"]
-    assert main(["hands", "--out", str(out), "--count", "1", *told, *small]) == 0
+    options = ["--set", "train-like", "--tones", "8", "9", "--poses", "fist", "claw", "--places", "desk"]
+    assert main(["hands", "--out", str(out), "--count", "1", *options, *small]) == 0
     settings = read_json(out / "settings.json")["settings"]
     assert settings["poses"] == ["fist", "claw"]
     assert settings["tones"] == [8.0, 9.0]
@@ -150,7 +162,7 @@ def test_the_command_line_makes_what_it_is_told_to(tmp_path, capsys):
     assert "choose another folder" in capsys.readouterr().err
 
 
-def test_the_mathematics_needs_no_renderer():
+def test_import_does_not_load_mitsuba_torch_or_cv2():
     program = "import sys, generator; print('mitsuba' in sys.modules, 'torch' in sys.modules, 'cv2' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
     assert run.stdout.split() == ["False", "False", "False"]
