@@ -19,9 +19,9 @@ from pipelines.console import progress_console
 from pipelines.engines import EngineResource, steps_on_ray
 from pipelines.home import DATASETS, home
 from pipelines.io import FolderPointers
-from pipelines.machines import with_machine
 from pipelines.resources import RegistryResource, StoreResource, TrackerResource
 from pipelines.sensors import all_sensors
+from pipelines.supervision import supervised
 
 __all__ = ["build_defs"]
 
@@ -79,6 +79,6 @@ def build_defs(
         schedules=[jobs.retraining],
         sensors=all_sensors(root),
         resources={**resources, **(overrides or {})},
-        executor=with_machine(executor),
+        executor=supervised(executor),
         loggers={"console": progress_console},
     )
