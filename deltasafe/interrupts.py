@@ -13,8 +13,8 @@ __all__ = ["interrupts_delayed", "sigint_blocked"]
 def interrupts_delayed() -> Iterator[None]:
     """Delay the Python handlers of SIGINT and SIGTERM to the end of the block.
 
-    Only the main thread runs handlers; in other threads this does nothing. A signal without a Python handler (SIGTERM in
-    a plain script) acts at once.
+    Only the main thread runs handlers; in other threads this does nothing. A signal without a Python handler (SIGTERM
+    in a plain script) acts at once.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

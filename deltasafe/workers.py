@@ -8,6 +8,7 @@ import multiprocessing
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext
 from multiprocessing.pool import ExceptionWithTraceback
@@ -83,6 +84,7 @@ class Worker:
         self.pipe, theirs = context.Pipe()
         # daemon: multiprocessing ends it at exit, should all else fail
         self.process = context.Process(target=_serve, args=(theirs,), name="worker", daemon=True)
+        resource_tracker.ensure_running()  # started by the first process otherwise, and it unblocks SIGINT
         with contextlib.closing(theirs), sigint_blocked():
             self.process.start()
 
