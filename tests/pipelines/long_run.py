@@ -6,6 +6,7 @@ How: ``workers`` (two worker processes of the local engine) or ``deaf`` (the ste
 import contextlib
 import os
 import pathlib
+import signal
 import time
 
 import dagster as dg
@@ -55,5 +56,6 @@ def job() -> dg.JobDefinition:
 def main(how: str) -> None:
     """Run it; called as ``python -c``, so that processes find this module by its full name."""
     os.environ["LONG_RUN_HOW"] = how
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored if the tests run in the background
     with dg.DagsterInstance.get() as instance:
         print(dg.execute_job(dg.reconstructable(job), instance=instance).success)

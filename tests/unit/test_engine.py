@@ -176,6 +176,7 @@ from deltasafe.engine import LOCAL, Needs, Task
 from tests.unit.test_engine import sleep
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored if the tests run in the background
     if sys.argv[3] == "handled":
         signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))  # as Dagster does
     tasks = [Task(f"{n}", sleep, (sys.argv[1], sys.argv[2] == "deaf")) for n in range(4)]

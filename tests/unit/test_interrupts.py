@@ -11,6 +11,14 @@ import pytest
 from deltasafe.interrupts import interrupts_delayed, sigint_blocked
 
 
+@pytest.fixture(autouse=True)
+def default_handler():
+    """A shell starts background jobs with SIGINT ignored, and tests may be one."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def test_a_signal_is_delivered_at_the_end_of_the_block():
     finished, before = [], signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt), interrupts_delayed():
