@@ -12,7 +12,15 @@ import signal
 import subprocess
 import time
 
-__all__ = ["descendants", "is_running", "kill_with_descendants", "start_mark", "start_ticks", "stop_session"]
+__all__ = [
+    "descendants",
+    "is_running",
+    "kill_with_descendants",
+    "parent_of",
+    "start_mark",
+    "start_ticks",
+    "stop_session",
+]
 
 
 def start_ticks(pid: int) -> int | None:
@@ -69,6 +77,12 @@ def descendants(pid: int) -> list[int]:
         new = [child for child, parent in parents.items() if parent in new]
         found += new
     return found
+
+
+def parent_of(pid: int) -> int | None:
+    """PID of the parent of a process; None without /proc, or if it has ended."""
+    fields = _running(pathlib.Path("/proc", str(pid), "stat"))
+    return None if fields is None else int(fields[1])
 
 
 def kill_with_descendants(pid: int) -> None:

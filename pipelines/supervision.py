@@ -1,7 +1,9 @@
 """The executor of all runs: it records which process a run is, and ends steps that do not end when told to."""
 
+import contextlib
 import os
 import platform
+import signal
 import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -10,7 +12,7 @@ import dagster as dg
 from dagster import DagsterEvent, Executor
 from dagster._core.events import EngineEventData
 
-from deltasafe.processes import descendants, kill_with_descendants, start_mark
+from deltasafe.processes import descendants, kill_with_descendants, parent_of, start_mark
 from pipelines.home import DATABASE_VARIABLE
 from pipelines.machines import MACHINE_TAG
 
@@ -90,6 +92,7 @@ class _Supervised(Executor):
         pid = os.getpid()
         yield DagsterEvent.engine_event(plan_context, f"The run is process {pid}", EngineEventData(_process(pid)))
         steps: set[int] = set()
+        servers: set[int] = set()
         killer = threading.Timer(_PATIENCE_S, _kill, (plan_context, steps))
         killer.daemon = True
         try:
@@ -97,10 +100,14 @@ class _Supervised(Executor):
                 if (step := _pid_of_step(event)) is not None:
                     steps.add(step)
                 if killer.ident is None and _is_termination(event):
+                    servers = _fork_servers(steps)
                     killer.start()
                 yield event
         finally:
             killer.cancel()
+            for server in servers:  # else it would begin its exit, seconds with all libraries loaded, only after ours
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(server, signal.SIGKILL)
 
     @property
     def retries(self) -> "RetryMode":
@@ -125,6 +132,11 @@ def _pid_of_step(event: DagsterEvent | None) -> int | None:
 
 def _is_termination(event: DagsterEvent) -> bool:
     return event.is_engine_event and "steps_interrupted" in event.engine_event_data.metadata
+
+
+def _fork_servers(steps: set[int]) -> set[int]:
+    """PIDs of the children of this process that the steps under way were forked from."""
+    return set(descendants(os.getpid())).intersection(map(parent_of, steps))
 
 
 def _kill(plan_context: "PlanOrchestrationContext", steps: set[int]) -> None:

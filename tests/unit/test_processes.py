@@ -13,6 +13,7 @@ from deltasafe.processes import (
     descendants,
     is_running,
     kill_with_descendants,
+    parent_of,
     start_mark,
     start_ticks,
     stop_session,
@@ -106,6 +107,7 @@ def test_descendants_are_found_and_killed():
         while not (found := descendants(parent.pid)):
             time.sleep(0.05)
         assert parent.pid in descendants(os.getpid())
+        assert parent_of(parent.pid) == os.getpid()
         kill_with_descendants(parent.pid)
     while any(map(is_running, found)):
         time.sleep(0.05)
