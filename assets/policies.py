@@ -7,7 +7,7 @@ from typing import ParamSpec, TypeVar
 import dagster as dg
 
 from assets.interfaces import Store
-from deltasafe.errors import DeltasafeError, WorkerLostError
+from deltasafe.errors import DeltasafeError, LockedError, WorkerLostError
 
 __all__ = ["ALL_CORES", "ON_NEW_ASSET", "ON_NEW_DATA", "RETRY_TWICE", "no_retry"]
 
@@ -56,7 +56,7 @@ def no_retry(made: Callable[P, T]) -> Callable[P, T]:
                 raise dg.Failure(store.refused, allow_retries=False)
         try:
             return made(*args, **kwargs)
-        except WorkerLostError:
+        except (LockedError, WorkerLostError):  # these pass
             raise
         except DeltasafeError as error:
             raise dg.Failure(f"{type(error).__name__}: {error}", allow_retries=False) from error

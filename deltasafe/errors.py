@@ -6,6 +6,7 @@ __all__ = [
     "ArtifactError",
     "DataError",
     "DeltasafeError",
+    "LockedError",
     "PlanningError",
     "SettingsError",
     "StaleImageError",
@@ -49,6 +50,10 @@ class ArtifactError(DataError):
 
 class WriteError(_PathError, OSError):
     """A file or folder cannot be written; what was there before is as it was."""
+
+
+class LockedError(_PathError, RuntimeError):
+    """A folder is in use by another process, which the message names."""
 
 
 class PlanningError(DeltasafeError, ValueError):

@@ -22,8 +22,8 @@ import dagster as dg
 
 from deltasafe.compute.progress import Progress, silent
 from faults.reporting import conclude, parser, progress_every
-from pipelines.automation.lost_runs import process_of
 from pipelines.home import PROJECT, prepare_home
+from pipelines.supervision import process_of
 
 __all__ = ["Outcome", "Stage", "kill_under_dagster", "main"]
 
@@ -155,7 +155,7 @@ class Stage:
             return None
         if kind == "run worker":
             worker = process_of(self.instance, run.run_id)
-            return None if worker is None else worker[0]
+            return None if worker is None else worker.pid
         ends = {dg.DagsterEventType.STEP_SUCCESS, dg.DagsterEventType.STEP_FAILURE}
         ended = {entry.step_key for entry in self.instance.all_logs(run.run_id, of_type=ends)}
         for entry in self.instance.all_logs(run.run_id, of_type=dg.DagsterEventType.STEP_WORKER_STARTED):

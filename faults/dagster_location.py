@@ -11,8 +11,9 @@ import time
 import dagster as dg
 
 from deltasafe.io.storage import atomic_folder
-from pipelines.automation.lost_runs import fail_lost_runs
+from pipelines.automation.lost_runs import end_leftover_processes, fail_lost_runs
 from pipelines.storage.io_manager import FolderPointers
+from pipelines.supervision import supervised
 
 __all__ = ["defs"]
 
@@ -81,7 +82,8 @@ def lost_runs(context: dg.SensorEvaluationContext) -> dg.SkipReason:
     """As in the project, a little more often."""
     if _is_off("lost_runs"):
         return dg.SkipReason("switched off")
-    return dg.SkipReason(f"marked as failed: {fail_lost_runs(context.instance)}")
+    killed = end_leftover_processes(context.instance)
+    return dg.SkipReason(f"marked as failed: {fail_lost_runs(context.instance)}; processes killed: {killed}")
 
 
 defs = dg.Definitions(
@@ -89,7 +91,9 @@ defs = dg.Definitions(
     jobs=[steps],
     sensors=[requests, lost_runs],
     resources={"io_manager": _Pointers(home=str(HOME))},
-    executor=dg.multiprocess_executor.configured(
-        {"max_concurrent": 2, "start_method": {"forkserver": {"preload_modules": ["faults.dagster_location"]}}}
+    executor=supervised(
+        dg.multiprocess_executor.configured(
+            {"max_concurrent": 2, "start_method": {"forkserver": {"preload_modules": ["faults.dagster_location"]}}}
+        )
     ),
 )

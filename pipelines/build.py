@@ -20,8 +20,8 @@ from pipelines.commands.console import progress_console
 from pipelines.executors import ExecutorResource, steps_on_ray
 from pipelines.home import DATASETS, home
 from pipelines.resources import RegistryResource, StoreResource, TrackerResource
-from pipelines.run_owner import with_machine
 from pipelines.storage.io_manager import FolderPointers
+from pipelines.supervision import supervised
 
 __all__ = ["build_defs"]
 
@@ -79,6 +79,6 @@ def build_defs(
         schedules=[jobs.retraining],
         sensors=all_sensors(root),
         resources={**resources, **(overrides or {})},
-        executor=with_machine(executor),
+        executor=supervised(executor),
         loggers={"console": progress_console},
     )

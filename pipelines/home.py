@@ -3,14 +3,12 @@
 A team keeps Dagster's records in PostgreSQL instead: `$DELTASAFE_DATABASE` (docs/how-to/team.md).
 """
 
-import fcntl
 import importlib.util
 import os
 import pathlib
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_file
-from deltasafe.io.write_errors import naming
 from deltasafe.presets import VARIABLE
 
 __all__ = [
@@ -151,24 +149,3 @@ def set_quiet_environment() -> None:
     # a server that is away is tried again at the next call, not for minutes within one
     os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
     os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "30")
-
-
-class FileLock:
-    """Exclusive lock between processes, held inside a `with` block.
-
-    Raises:
-        WriteError: its file cannot be made.
-    """
-
-    def __init__(self, path: pathlib.Path) -> None:
-        self.path = path
-
-    def __enter__(self) -> "FileLock":
-        with naming(self.path):
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("w")
-        fcntl.flock(self._file, fcntl.LOCK_EX)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._file.close()

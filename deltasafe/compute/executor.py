@@ -5,21 +5,15 @@ members of an ensemble at once is called an executor as well (`perception.execut
 """
 
 import collections
-import concurrent.futures
-import contextlib
 import dataclasses
-import multiprocessing
 import os
-import queue
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing.managers import SyncManager
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import Any, Protocol
 
-from deltasafe.compute.parent_watchdog import end_with_parent
+from deltasafe.compute.workers import ERROR, LOST, REPORT, RESULT, Workers
 from deltasafe.errors import SettingsError, WorkerLostError
 
-__all__ = ["LOCAL", "RETRIES", "Executor", "LocalExecutor", "Needs", "Task", "lost"]
+__all__ = ["LOCAL", "RETRIES", "Executor", "LocalExecutor", "Needs", "Task", "in_order", "lost"]
 
 RETRIES = 2
 """How often a task is done again whose worker was lost: killed, out of memory, its machine gone."""
@@ -27,11 +21,11 @@ RETRIES = 2
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A call to be made somewhere: ``work(*arguments)``.
+    """A call to be made somewhere: ``work(*arguments)``. It starts no processes by `multiprocessing` itself.
 
     Attributes:
         name: how errors call it.
-        work: a function of a module. Where somebody listens, its first argument is a callable that takes a report.
+        work: a function of a module. If ``hear`` is given, its first argument is a callable that takes a report.
         arguments: they and the result are sent between processes, and are therefore small; paths are read there.
     """
 
@@ -77,9 +71,10 @@ class Executor(Protocol):
         needs: Needs = ...,
         hear: Callable[[Any], None] | None = None,
     ) -> Generator[tuple[int, Any], None, None]:
-        """Do all tasks; the position and the result of each as it ends. To be closed by whoever stops listening.
+        """Do all tasks; yield the position and the result of each as it ends.
 
         A task whose worker is lost is done again, ``RETRIES`` times at most. After an error no further task is begun.
+        Closing the generator, or an interrupt, ends the tasks under way; close it with `contextlib.closing`.
 
         Args:
             hear: takes what tasks report underway; called here, between results.
@@ -96,6 +91,17 @@ def lost(task: Task, reason: str = "") -> WorkerLostError:
         f"{task.name}: the process that did it was lost {RETRIES + 1} times{reason and f' ({reason})'}; look for what "
         "ends it (memory, as a rule) and run it again with fewer workers: what is finished is found"
     )
+
+
+def in_order(finished: Iterable[tuple[int, Any]]) -> Iterator[Any]:
+    """Yield the results of `Executor.run` in the order of the tasks; results that come early are kept."""
+    early: dict[int, Any] = {}
+    n_yielded = 0
+    for index, result in finished:
+        early[index] = result
+        while n_yielded in early:
+            yield early.pop(n_yielded)
+            n_yielded += 1
 
 
 class LocalExecutor:
@@ -118,111 +124,47 @@ class LocalExecutor:
         needs: Needs = Needs(),
         hear: Callable[[Any], None] | None = None,
     ) -> Generator[tuple[int, Any], None, None]:
-        """See `Executor`."""
+        """See `Executor`. All workers have ended when this returns or raises."""
         if workers < 1:
             raise SettingsError(f"workers must be at least 1, got {workers}")
         if not needs.apart and min(workers, len(tasks)) <= 1:
             for index, task in enumerate(tasks):
                 yield index, task.work(*([] if hear is None else [hear]), *task.arguments)
             return
-        context = multiprocessing.get_context("spawn")
-        with _reports(context, hear) as reports, _Slots(context, min(workers, len(tasks))) as slots:
-            yield from _all(tasks, slots, reports, hear)
+        started = Workers(min(workers, len(tasks)))
+        try:
+            yield from _all(tasks, started, hear)
+        finally:
+            try:
+                started.end()
+            except BaseException:  # a second interrupt, in the moment before interrupts are delayed
+                started.end()
+                raise
 
 
 LOCAL = LocalExecutor()
 
 
-class _Slots:
-    """Pools of one process each, so that a process which is lost takes no other one's task with it."""
-
-    def __init__(self, context: Any, count: int) -> None:
-        self._context = context
-        self._pools = [self._pool() for _ in range(count)]
-        self.free = list(range(count))
-
-    def __enter__(self) -> "_Slots":
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        for pool in self._pools:
-            pool.shutdown(cancel_futures=True)
-
-    def submit(self, slot: int, call: Callable[..., Any], *arguments: Any) -> "concurrent.futures.Future[Any]":
-        return self._pools[slot].submit(call, *arguments)
-
-    def renew(self, slot: int) -> None:
-        self._pools[slot].shutdown()
-        self._pools[slot] = self._pool()
-
-    def _pool(self) -> concurrent.futures.ProcessPoolExecutor:
-        return concurrent.futures.ProcessPoolExecutor(1, self._context, end_with_parent)
-
-
-def _all(
-    tasks: Sequence[Task], slots: _Slots, reports: Any, hear: Callable[[Any], None] | None
-) -> Iterator[tuple[int, Any]]:
+def _all(tasks: Sequence[Task], workers: Workers, hear: Callable[[Any], None] | None) -> Iterator[tuple[int, Any]]:
     waiting = collections.deque(range(len(tasks)))
     tries = [0] * len(tasks)
-    running: dict[concurrent.futures.Future[Any], tuple[int, int]] = {}
-    failure: Exception | None = None
-    while running or (waiting and failure is None):
-        while waiting and slots.free and failure is None:
-            index, slot = waiting.popleft(), slots.free.pop()
-            task = tasks[index]
-            told = () if hear is None else (_Tell(reports),)
-            running[slots.submit(slot, task.work, *told, *task.arguments)] = index, slot
-        for future in _ended(running, reports, hear):
-            index, slot = running.pop(future)
-            slots.free.append(slot)
-            try:
-                result = future.result()
-            except BrokenProcessPool:
-                slots.renew(slot)
+    failure: BaseException | None = None
+    while workers.busy() or (waiting and failure is None):
+        while waiting and failure is None and (worker := workers.idle()) is not None:
+            task = tasks[waiting[0]]
+            worker.begin(waiting.popleft(), task.work, hear is not None, task.arguments)
+        for index, kind, value in workers.messages():
+            if kind == REPORT and hear is not None:
+                hear(value)
+            elif kind == RESULT:
+                yield index, value
+            elif kind == ERROR:  # what is under way is finished and yielded first
+                failure = failure or value
+            elif kind == LOST:
                 tries[index] += 1
                 if tries[index] > RETRIES:
                     failure = failure or lost(tasks[index])
                 else:
                     waiting.appendleft(index)
-            except Exception as error:  # what is underway is finished and handed over first
-                failure = failure or error
-            else:
-                yield index, result
-    if hear is not None:
-        with contextlib.suppress(queue.Empty):
-            while True:
-                hear(reports.get_nowait())
     if failure is not None:
         raise failure
-
-
-def _ended(
-    running: dict["concurrent.futures.Future[Any]", tuple[int, int]],
-    reports: Any,
-    hear: Callable[[Any], None] | None,
-) -> list["concurrent.futures.Future[Any]"]:
-    if hear is None:
-        return list(concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED).done)
-    with contextlib.suppress(queue.Empty):
-        hear(reports.get(timeout=0.5))
-    return [future for future in running if future.done()]
-
-
-@contextlib.contextmanager
-def _reports(context: Any, hear: Callable[[Any], None] | None) -> Iterator[Any]:
-    """A queue between processes, if somebody listens."""
-    if hear is None:
-        yield None
-        return
-    manager = SyncManager(ctx=context)
-    manager.start(end_with_parent)
-    with manager:
-        yield manager.Queue()
-
-
-@dataclasses.dataclass(frozen=True)
-class _Tell:
-    reports: Any
-
-    def __call__(self, report: Any) -> None:
-        self.reports.put(report)

@@ -1,16 +1,26 @@
-"""Which process bears a number, and how a server ends that has children.
+"""Identify processes, and end them with their children.
 
-Numbers are given away again; the number and the start together are not.
+PIDs are reused; PID plus start time is unique. The start is compared in ticks as the kernel gives them, never with a
+clock: clocks are set, and containers see another /proc/uptime than the kernel's.
 """
 
 import contextlib
+import functools
 import os
 import pathlib
 import signal
 import subprocess
 import time
 
-__all__ = ["start_ticks", "stop_session"]
+__all__ = [
+    "descendants",
+    "is_running",
+    "kill_with_descendants",
+    "parent_of",
+    "start_mark",
+    "start_ticks",
+    "stop_session",
+]
 
 
 def start_ticks(pid: int) -> int | None:
@@ -25,6 +35,69 @@ def start_ticks(pid: int) -> int | None:
     if fields is None:
         raise ProcessLookupError(pid)
     return int(fields[19])
+
+
+def start_mark(pid: int) -> str | None:
+    """Return boot and start ticks of a process, which no other process of that PID has; None without /proc.
+
+    Raises:
+        ProcessLookupError: as by `start_ticks`.
+    """
+    ticks = start_ticks(pid)
+    return None if ticks is None else f"{_boot_id()}:{ticks}"
+
+
+def is_running(pid: int, mark: str | None = None) -> bool:
+    """Whether the process ``pid`` runs, and is the one whose `start_mark` was ``mark``; zombies do not run.
+
+    Without ``mark``, any process of that PID counts.
+    """
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # another user's
+        pass
+    try:
+        found = start_mark(pid)
+    except ProcessLookupError:
+        return False
+    return mark is None or found is None or found == mark
+
+
+def descendants(pid: int) -> list[int]:
+    """PIDs of the children of a process, of their children, and so on; empty without /proc."""
+    parents: dict[int, int] = {}
+    for stat in pathlib.Path("/proc").glob("[0-9]*/stat"):
+        fields = _running(stat)
+        if fields is not None:
+            parents[int(stat.parent.name)] = int(fields[1])
+    found, new = [], [pid]
+    while new:
+        new = [child for child, parent in parents.items() if parent in new]
+        found += new
+    return found
+
+
+def parent_of(pid: int) -> int | None:
+    """PID of the parent of a process; None without /proc, or if it has ended."""
+    fields = _running(pathlib.Path("/proc", str(pid), "stat"))
+    return None if fields is None else int(fields[1])
+
+
+def kill_with_descendants(pid: int) -> None:
+    """SIGKILL a process and its descendants."""
+    for each in (pid, *descendants(pid)):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(each, signal.SIGKILL)
+
+
+@functools.cache
+def _boot_id() -> str:
+    try:
+        return pathlib.Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
 
 
 def _running(stat: pathlib.Path) -> list[str] | None:

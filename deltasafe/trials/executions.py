@@ -1,12 +1,11 @@
 """The planned motion of each scene on the simulated arm, beside the scene's true hand."""
 
-import concurrent.futures
+import contextlib
 import dataclasses
-import multiprocessing
 import pathlib
 from collections.abc import Sequence
 
-from deltasafe.compute.parent_watchdog import end_with_parent
+from deltasafe.compute.executor import LOCAL, Needs, Task, in_order
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.execution.recording import Execution
@@ -67,11 +66,9 @@ def execute_scenes(
             _Job(scene, pathlib.Path(fields), pathlib.Path(motions), temporary, settings, seed + index)
             for index, scene in enumerate(scenes)
         ]
-        pool = concurrent.futures.ProcessPoolExecutor(
-            min(workers, len(jobs)), multiprocessing.get_context("spawn"), end_with_parent
-        )
-        with pool:
-            for done, outcome in enumerate(pool.map(_execute, jobs), start=1):
+        tasks = [Task(f"execution of {job.scene.id}", _execute, (job,)) for job in jobs]
+        with contextlib.closing(LOCAL.run(tasks, workers, Needs(apart=True))) as finished:
+            for done, outcome in enumerate(in_order(finished), start=1):
                 outcomes.append(outcome)
                 verb = "executed" if outcome.executed else "did not execute"
                 progress(done, len(jobs), f"{verb} {outcome.scene_id} {outcome.reason}".strip())

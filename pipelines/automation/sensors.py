@@ -9,7 +9,7 @@ import dagster as dg
 from assets.single_scene import scenes as scene_partitions
 from deltasafe.errors import DeltasafeError
 from pipelines import jobs
-from pipelines.automation.lost_runs import fail_lost_runs
+from pipelines.automation.lost_runs import end_leftover_processes, fail_lost_runs
 from pipelines.watched_folders import (
     HANDS_VARIABLE,
     SCENES_VARIABLE,
@@ -47,11 +47,15 @@ def all_sensors(home: pathlib.Path) -> Sequence[dg.SensorDefinition]:
         jobs=[jobs.perception],
         minimum_interval_seconds=interval_s,
         default_status=on,
-        description="Marks runs as failed whose process was killed, and frees the cores that they held.",
+        description="Fails runs whose process was killed and frees their pool slots; kills processes of ended runs.",
     )
     def lost_runs(context: dg.SensorEvaluationContext) -> dg.SkipReason:
-        lost = fail_lost_runs(context.instance)
-        return dg.SkipReason(f"marked as failed: {', '.join(lost)}" if lost else "every run has its process")
+        done = {
+            "marked as failed": fail_lost_runs(context.instance),
+            "processes killed of ended runs": end_leftover_processes(context.instance),
+        }
+        said = [f"{what}: {', '.join(runs)}" for what, runs in done.items() if runs]
+        return dg.SkipReason("; ".join(said) or "every run has its process, and no process has outlived its run")
 
     follow_changes = dg.AutomationConditionSensorDefinition(
         "follow_changes",

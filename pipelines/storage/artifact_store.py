@@ -5,8 +5,9 @@ import pathlib
 from typing import Any, Protocol
 
 from deltasafe.errors import DataError
+from deltasafe.io.locks import FileLock
 from deltasafe.io.storage import read_json, write_json
-from pipelines.home import DATASETS, FileLock
+from pipelines.home import DATASETS
 from pipelines.storage.shared_store import (
     ObjectError,
     SharedStore,

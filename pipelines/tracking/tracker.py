@@ -11,7 +11,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from assets.interfaces import TrainedMember
-from pipelines.home import FileLock, set_quiet_environment, tracking_uri
+from deltasafe.io.locks import FileLock
+from pipelines.home import set_quiet_environment, tracking_uri
 from pipelines.tracking.call_queue import PendingCalls
 from pipelines.tracking.mlflow_records import MlflowRecords
 

@@ -9,7 +9,8 @@ import pytest
 from deltasafe.errors import DataError, SettingsError
 from pipelines.automation.lost_runs import fail_lost_runs
 from pipelines.home import DATABASE_VARIABLE, prepare_home
-from pipelines.run_owner import MACHINE_TAG, with_machine
+from pipelines.run_owner import MACHINE_TAG
+from pipelines.supervision import supervised
 
 ADDRESS = "postgresql+psycopg2://user:secret@127.0.0.1:1/dagster"
 
@@ -90,10 +91,9 @@ def test_runs_of_another_machine_are_not_looked_for_here(tmp_path, monkeypatch):
 
 
 def test_runs_say_on_which_machine_they_are_where_the_database_is_shared(tmp_path, monkeypatch):
-    assert with_machine(dg.in_process_executor) is dg.in_process_executor
     monkeypatch.setenv(DATABASE_VARIABLE, ADDRESS)
 
-    @dg.job(executor_def=with_machine(dg.in_process_executor))
+    @dg.job(executor_def=supervised(dg.in_process_executor))
     def work():
         nothing()
 
@@ -106,7 +106,7 @@ def test_runs_say_on_which_machine_they_are_where_the_database_is_shared(tmp_pat
 
 
 def tagged():
-    @dg.job(executor_def=with_machine(dg.in_process_executor))
+    @dg.job(executor_def=supervised(dg.in_process_executor))
     def work():
         nothing()
 

@@ -1,20 +1,19 @@
 """The augmented training set on disk: arrays ready for training, and the recipe of every image."""
 
-import concurrent.futures
+import contextlib
 import dataclasses
 import hashlib
 import json
-import multiprocessing
 import os
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compute.parent_watchdog import end_with_parent
+from deltasafe.compute.executor import LOCAL, Needs, Task, in_order
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_folder, digest_of, read_json, write_json
@@ -161,11 +160,12 @@ def augment_images(
     with atomic_folder(folder) as temporary:
         pixels = _room(temporary / "images.npy", np.uint8, (n, *size, 3))
         masks = _room(temporary / "masks.npy", mask_type, (n, *size))
-        for done, variants in enumerate(_all_variants(images, backgrounds, settings, workers), start=1):
-            for made in variants:
-                pixels[len(recipes)], masks[len(recipes)] = made.image, made.mask
-                recipes.append(made.recipe)
-            progress(done, len(images), f"augmented {images.items[done - 1].id}")
+        with contextlib.closing(_all_variants(images, backgrounds, settings, workers)) as originals:
+            for done, variants in enumerate(originals, start=1):
+                for made in variants:
+                    pixels[len(recipes)], masks[len(recipes)] = made.image, made.mask
+                    recipes.append(made.recipe)
+                progress(done, len(images), f"augmented {images.items[done - 1].id}")
         pixels.flush()
         masks.flush()
         del pixels, masks
@@ -207,27 +207,27 @@ _maker: Maker | None = None
 
 def _all_variants(
     hands: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings, workers: int
-) -> Iterator[list[Augmented]]:
+) -> Generator[list[Augmented], None, None]:
     if workers == 1:
         maker = maker_of(hands, _pictures(backgrounds), settings)
         yield from (maker.variants(i) for i in range(len(hands)))
         return
-    # spawned, not forked: the caller may hold the threads of a network
-    context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(workers, context, _begin, (hands, backgrounds, settings)) as pool:
-        yield from pool.map(_work, range(len(hands)))
+    tasks = [
+        Task(f"augmentation of {item.id}", _work, (hands, backgrounds, settings, i))
+        for i, item in enumerate(hands.items)
+    ]
+    with contextlib.closing(LOCAL.run(tasks, workers, Needs(apart=True))) as finished:
+        yield from in_order(finished)
 
 
-def _begin(hands: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings) -> None:
-    """Workers read pictures themselves: who is sent more than a pipe holds, and dies at its start, is waited for."""
-    end_with_parent()
-    global _maker  # noqa: PLW0603  (one for the life of a worker)
-    _maker = maker_of(hands, _pictures(backgrounds), settings)
-    cv2.setNumThreads(1)
-
-
-def _work(i: int) -> list[Augmented]:
-    assert _maker is not None
+def _work(
+    hands: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings, i: int
+) -> list[Augmented]:
+    """Called in a worker process, which serves one set: it reads the backgrounds itself, once."""
+    global _maker  # noqa: PLW0603
+    if _maker is None:
+        _maker = maker_of(hands, _pictures(backgrounds), settings)
+        cv2.setNumThreads(1)
     return _maker.variants(i)
 
 

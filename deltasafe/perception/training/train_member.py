@@ -15,6 +15,7 @@ import torch
 from torch.nn import functional
 
 from deltasafe.errors import SettingsError
+from deltasafe.io.locks import FileLock
 from deltasafe.io.storage import digest_of
 from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.data.loader import Batches
@@ -35,6 +36,8 @@ __all__ = [
 
 RECIPE_VERSION = 2
 """Raised by a change of network or loop that trains other members from the same settings."""
+_PATIENCE_S = 30.0
+"""Wait for the lock of a member's folder: a terminated training takes seconds to end."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,10 +94,12 @@ def train_member(
     """Train the member of ``seed`` and write it to ``folder``; goes on from a checkpoint left there.
 
     A finished member of the same settings, data and seed is returned as it is. A checkpoint of other settings,
-    data or seed is discarded. The loss is binary cross-entropy, averaged over pixels (decision 6).
+    data or seed is discarded. The loss is binary cross-entropy, averaged over pixels (decision 6). A lock file in
+    ``folder`` keeps a second training out while this one runs.
 
     Raises:
         SettingsError: the set has fewer images than one batch, or the loss is no longer finite.
+        LockedError: another process trains in ``folder``, and did not end within half a minute.
     """
     folder = pathlib.Path(folder)
     identity = training_identity(data, settings, seed)
@@ -103,7 +108,19 @@ def train_member(
     n_images = len(data.images)
     if n_images < settings.batch_size:
         raise SettingsError(f"batch_size {settings.batch_size} exceeds the {n_images} images of the set")
+    with FileLock(folder / "training.lock", _PATIENCE_S):
+        return Member.find(folder, identity) or _train(data, settings, seed, folder, device, on_step)
 
+
+def _train(
+    data: AugmentedSet,
+    settings: TrainingSettings,
+    seed: int,
+    folder: pathlib.Path,
+    device: str,
+    on_step: Callable[[StepReport], None] | None,
+) -> Member:
+    identity = training_identity(data, settings, seed)
     target = pick_device(device)
     network = build_network(settings.network, seed).to(target).to(memory_format=torch.channels_last).train()
     precision = resolved_precision(settings.precision, target)

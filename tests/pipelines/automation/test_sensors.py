@@ -12,7 +12,8 @@ import pytest
 
 from assets.policies import ON_NEW_ASSET, ON_NEW_DATA
 from assets.single_scene import scenes as scene_partitions
-from pipelines.automation.lost_runs import fail_lost_runs, is_alive
+from deltasafe.compute.processes import is_running
+from pipelines.automation.lost_runs import fail_lost_runs
 from pipelines.automation.sensors import all_sensors, look_at_images, look_at_scenes
 from pipelines.jobs import ALL_MEMBERS
 from pipelines.watched_folders import digest_of_folder
@@ -194,7 +195,7 @@ def test_a_run_whose_process_was_killed_is_failed_and_others_are_not(tmp_path):
         lost, alive = started_run(instance, killed.pid), started_run(instance, os.getpid())
         assert fail_lost_runs(instance) == []
         killed.kill()
-        while is_alive(killed.pid, time.time()):  # a zombie, as a killed child is until it is waited for
+        while is_running(killed.pid):  # a zombie, as a killed child is until it is waited for
             time.sleep(0.01)
         assert fail_lost_runs(instance) == [lost]
         killed.wait()
@@ -215,8 +216,3 @@ def test_a_run_whose_process_never_reports_itself_is_failed_after_a_while(tmp_pa
         monkeypatch.setattr("pipelines.automation.lost_runs._SILENT_S", 0.0)
         assert fail_lost_runs(instance) == [silent]
         assert instance.get_run_by_id(waiting).status == dg.DagsterRunStatus.NOT_STARTED
-
-
-def test_a_number_that_was_given_away_again_is_not_the_same_process():
-    assert is_alive(os.getpid(), time.time())
-    assert not is_alive(os.getpid(), time.time() - 10**6), "it began after the run did"

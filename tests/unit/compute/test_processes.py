@@ -1,5 +1,6 @@
-"""Servers with a child: one stops it and waits for it, one forgets it, one listens to nobody."""
+"""Processes identified by PID and start; servers with a child: one stops it, one forgets it, one ignores SIGTERM."""
 
+import os
 import pathlib
 import signal
 import subprocess
@@ -8,7 +9,18 @@ import time
 
 import pytest
 
-from deltasafe.compute.processes import start_ticks, stop_session
+from deltasafe.compute.processes import (
+    descendants,
+    is_running,
+    kill_with_descendants,
+    parent_of,
+    start_mark,
+    start_ticks,
+    stop_session,
+)
+
+SLEEP = "import time; time.sleep(600)"
+linux = pytest.mark.skipif(not pathlib.Path("/proc/self/stat").is_file(), reason="reads /proc")
 
 CHILD = """
 import pathlib, signal, sys, time
@@ -57,3 +69,45 @@ def test_a_server_ends_with_its_children(tmp_path, leads, code, said, asked):
             start_ticks(child)
             time.sleep(0.05)
     assert (tmp_path / "asked").exists() == asked
+
+
+def test_a_process_runs_until_it_is_killed_and_a_zombie_does_not_run():
+    process = subprocess.Popen([sys.executable, "-c", SLEEP])
+    mark = start_mark(process.pid)
+    assert is_running(process.pid, mark)
+    process.kill()
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # ended, but not reaped
+    if mark is not None:
+        assert not is_running(process.pid, mark)
+        assert not is_running(process.pid)
+    process.wait()
+    assert not is_running(process.pid, mark)
+
+
+@linux
+def test_another_start_or_another_boot_is_another_process():
+    boot, _, ticks = start_mark(os.getpid()).rpartition(":")
+    assert is_running(os.getpid(), f"{boot}:{ticks}")
+    assert not is_running(os.getpid(), f"{boot}:{int(ticks) - 1}")
+    assert not is_running(os.getpid(), f"earlier boot:{ticks}")
+    assert is_running(os.getpid()), "without a mark, any process of that PID counts"
+
+
+@pytest.mark.parametrize("step_s", [-1e6, -10.0, 10.0, 1e6])
+def test_the_clock_does_not_matter(monkeypatch, step_s):
+    mark, now_s = start_mark(os.getpid()), time.time()
+    monkeypatch.setattr(time, "time", lambda: now_s + step_s)
+    assert is_running(os.getpid(), mark)
+
+
+@linux
+def test_descendants_are_found_and_killed():
+    program = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {SLEEP!r}])"
+    with subprocess.Popen([sys.executable, "-c", program]) as parent:
+        while not (found := descendants(parent.pid)):
+            time.sleep(0.05)
+        assert parent.pid in descendants(os.getpid())
+        assert parent_of(parent.pid) == os.getpid()
+        kill_with_descendants(parent.pid)
+    while any(map(is_running, found)):
+        time.sleep(0.05)

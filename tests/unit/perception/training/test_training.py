@@ -2,12 +2,14 @@ import dataclasses
 import math
 import os
 import pathlib
+import shutil
 
 import numpy as np
 import pytest
 import torch
 
-from deltasafe.errors import ArtifactError, DataError, SettingsError
+from deltasafe.errors import ArtifactError, DataError, LockedError, SettingsError
+from deltasafe.io.locks import FileLock
 from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.data.loader import Batches
 from deltasafe.perception.settings import NetworkSettings, TrainingSettings
@@ -82,6 +84,28 @@ def test_a_killed_training_ends_bit_by_bit_where_an_uninterrupted_one_ends(data,
     expected = weights(uninterrupted)
     assert all(torch.equal(value, expected[key]) for key, value in weights(member).items())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["member.json", "weights.safetensors"]
+
+
+def test_two_trainings_never_work_in_one_folder(data, tmp_path, monkeypatch):
+    monkeypatch.setattr("deltasafe.perception.training.train_member._PATIENCE_S", 0.0)
+    with FileLock(tmp_path / "training.lock"):
+        with pytest.raises(LockedError, match=f"is in use by process {os.getpid()} of "):
+            train_member(data, SMALL, 7, tmp_path, "cpu")
+        assert [path.name for path in tmp_path.iterdir()] == ["training.lock"]
+
+
+def test_a_training_that_waited_finds_the_member_that_the_other_made(data, uninterrupted, tmp_path, monkeypatch):
+    def finish_meanwhile(lock):
+        shutil.copytree(uninterrupted.folder, tmp_path, dirs_exist_ok=True)
+        return lock
+
+    monkeypatch.setattr(FileLock, "__enter__", finish_meanwhile)
+    monkeypatch.setattr(FileLock, "__exit__", lambda *_: None)
+
+    def never(report):
+        raise AssertionError
+
+    assert train_member(data, SMALL, 7, tmp_path, "cpu", never).record == uninterrupted.record
 
 
 def test_a_finished_member_is_not_trained_again(data, uninterrupted):

@@ -1,0 +1,150 @@
+"""The executor of all runs: it records which process a run is, and ends steps that do not end when told to."""
+
+import contextlib
+import os
+import platform
+import signal
+import threading
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import dagster as dg
+from dagster import DagsterEvent, Executor
+from dagster._core.events import EngineEventData
+
+from deltasafe.compute.processes import descendants, kill_with_descendants, parent_of, start_mark
+from pipelines.home import DATABASE_VARIABLE
+from pipelines.run_owner import MACHINE_TAG
+
+if TYPE_CHECKING:
+    from dagster._core.execution.context.system import PlanOrchestrationContext
+    from dagster._core.execution.plan.plan import ExecutionPlan
+    from dagster._core.execution.retries import RetryMode
+    from dagster._core.execution.step_dependency_config import StepDependencyConfig
+
+__all__ = ["RunProcess", "process_of", "step_processes", "supervised"]
+
+_PATIENCE_S = 6.0
+"""From the termination request to the kill of steps. An interrupt cannot break into compiled code."""
+_PID, _START = "pid", "start"
+
+
+class RunProcess(NamedTuple):
+    """A run's process.
+
+    Attributes:
+        pid: of it.
+        start: its `deltasafe.compute.processes.start_mark`; None if the run's executor does not record it.
+    """
+
+    pid: int
+    start: str | None
+
+
+def process_of(instance: dg.DagsterInstance, run_id: str) -> RunProcess | None:
+    """Read a run's process from its events; None if there is none yet.
+
+    Events, not tags: a re-execution copies the tags of its parent.
+    """
+    found: RunProcess | None = None
+    for entry in instance.all_logs(run_id, of_type=dg.DagsterEventType.ENGINE_EVENT):
+        event = entry.dagster_event
+        if event is None or event.step_key is not None or _PID not in event.engine_event_data.metadata:
+            continue
+        metadata = event.engine_event_data.metadata
+        data = {key: str(metadata[key].value) for key in (_PID, _START) if key in metadata}
+        if found is None or found.start is None or _START in data:
+            found = RunProcess(int(data[_PID]), data.get(_START))
+    return found
+
+
+def step_processes(instance: dg.DagsterInstance, run_id: str) -> set[int]:
+    """PIDs of all steps of a run that were ever started, wherever."""
+    events = instance.all_logs(run_id, of_type=dg.DagsterEventType.STEP_WORKER_STARTED)
+    return {pid for entry in events if (pid := _pid_of_step(entry.dagster_event)) is not None}
+
+
+def supervised(executor: dg.ExecutorDefinition) -> dg.ExecutorDefinition:
+    """Return the same executor, whose runs record their process and end in time.
+
+    If the database is shared, runs get the name of the machine (or container) as a tag as well.
+    """
+    made = executor.executor_creation_fn
+    assert made is not None
+    return dg.ExecutorDefinition(
+        name=executor.name,
+        config_schema=cast(Any, executor.config_schema),
+        requirements=executor.get_requirements,
+        executor_creation_fn=lambda context: _Supervised(made(context)),
+        description=executor.description,
+    )
+
+
+class _Supervised(Executor):
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+
+    def execute(
+        self, plan_context: "PlanOrchestrationContext", execution_plan: "ExecutionPlan"
+    ) -> Iterator[DagsterEvent]:
+        if os.environ.get(DATABASE_VARIABLE):
+            plan_context.instance.add_run_tags(plan_context.run_id, {MACHINE_TAG: platform.node()})
+        pid = os.getpid()
+        yield DagsterEvent.engine_event(plan_context, f"The run is process {pid}", EngineEventData(_process(pid)))
+        steps: set[int] = set()
+        servers: set[int] = set()
+        killer = threading.Timer(_PATIENCE_S, _kill, (plan_context, steps))
+        killer.daemon = True
+        try:
+            for event in self._executor.execute(plan_context, execution_plan):
+                if (step := _pid_of_step(event)) is not None:
+                    steps.add(step)
+                if killer.ident is None and _is_termination(event):
+                    servers = _fork_servers(steps)
+                    killer.start()
+                yield event
+        finally:
+            killer.cancel()
+            for server in servers:  # else it would begin its exit, seconds with all libraries loaded, only after ours
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(server, signal.SIGKILL)
+
+    @property
+    def retries(self) -> "RetryMode":
+        return self._executor.retries
+
+    @property
+    def step_dependency_config(self) -> "StepDependencyConfig":
+        return self._executor.step_dependency_config
+
+
+def _process(pid: int) -> dict[str, str]:
+    start = start_mark(pid)
+    return {_PID: str(pid), **({} if start is None else {_START: start})}
+
+
+def _pid_of_step(event: DagsterEvent | None) -> int | None:
+    if event is None or event.event_type != dg.DagsterEventType.STEP_WORKER_STARTED:
+        return None
+    pid = event.engine_event_data.metadata.get("pid")
+    return None if pid is None else int(str(pid.value))
+
+
+def _is_termination(event: DagsterEvent) -> bool:
+    return event.is_engine_event and "steps_interrupted" in event.engine_event_data.metadata
+
+
+def _fork_servers(steps: set[int]) -> set[int]:
+    """PIDs of the children of this process that the steps under way were forked from."""
+    return set(descendants(os.getpid())).intersection(map(parent_of, steps))
+
+
+def _kill(plan_context: "PlanOrchestrationContext", steps: set[int]) -> None:
+    left = steps.intersection(descendants(os.getpid()))
+    for step in left:
+        kill_with_descendants(step)
+    if left:
+        text = (
+            f"Steps did not end within {_PATIENCE_S:g} s after the termination request and were killed: {sorted(left)}"
+        )
+        plan_context.instance.report_engine_event(text, plan_context.dagster_run)

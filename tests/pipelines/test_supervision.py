@@ -1,0 +1,165 @@
+"""Runs that are interrupted end with all their processes; processes of ended runs are found by PID and start."""
+
+import contextlib
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+
+import dagster as dg
+import pytest
+
+from deltasafe.compute.processes import descendants, is_running, start_mark
+from pipelines.automation.lost_runs import end_leftover_processes, fail_lost_runs
+from pipelines.supervision import RunProcess, process_of, supervised
+from tests.pipelines.long_run import POOL
+
+ROOT = pathlib.Path(__file__).parents[2]
+FAILED = dg.DagsterRunStatus.FAILURE
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
+
+
+@pytest.fixture
+def instance(tmp_path):
+    (tmp_path / "marks").mkdir()
+    pools = {"concurrency": {"pools": {"default_limit": 1, "granularity": "op"}}}
+    with dg.DagsterInstance.local_temp(str(tmp_path), overrides=pools) as made:
+        yield made
+
+
+@contextlib.contextmanager
+def long_run(tmp_path, how):
+    """The command in a session of its own, as a terminal starts it; all its processes, once they work."""
+    (tmp_path / "dagster.yaml").write_text("concurrency: {pools: {default_limit: 1, granularity: op}}\n")
+    variables = {"DAGSTER_HOME": str(tmp_path), "LONG_RUN": str(tmp_path / "marks"), "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", f"from tests.pipelines.long_run import main; main({how!r})"]
+    with subprocess.Popen(
+        command, cwd=ROOT, env={**os.environ, **variables}, start_new_session=True, stderr=subprocess.DEVNULL
+    ) as process:
+        try:
+            while len(list((tmp_path / "marks").iterdir())) < (2 if how == "workers" else 1):
+                assert process.poll() is None
+                time.sleep(0.1)
+            yield process, [process.pid, *descendants(process.pid)]
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+
+
+def wait_until_ended(process, pids):
+    """Wait for all; the watchdog is many times what it takes."""
+    process.wait(timeout=120)
+    until_s = time.monotonic() + 60
+    while any(map(is_running, pids)) and time.monotonic() < until_s:
+        time.sleep(0.1)
+    assert [pid for pid in pids if is_running(pid)] == []
+
+
+@pytest.mark.parametrize(
+    ("how", "signals"),
+    [
+        ("workers", [signal.SIGINT]),
+        ("workers", [signal.SIGINT] * 2),
+        ("workers", [signal.SIGTERM] * 2),
+        ("deaf", [signal.SIGINT]),
+    ],
+)
+def test_an_interrupted_run_ends_with_all_its_processes_and_frees_its_pool(tmp_path, instance, how, signals):
+    with long_run(tmp_path, how) as (process, pids):
+        assert len(pids) >= (4 if how == "workers" else 2)
+        for number in signals:
+            with contextlib.suppress(ProcessLookupError):
+                (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
+            time.sleep(0.7)
+        wait_until_ended(process, pids)
+    (run,) = instance.get_runs()
+    assert run.status == FAILED
+    assert instance.event_log_storage.get_concurrency_info(POOL).active_slot_count == 0
+
+
+def test_a_process_that_outlived_its_run_is_killed_with_its_workers(tmp_path, instance):
+    with long_run(tmp_path, "workers") as (process, pids):
+        (run,) = instance.get_runs()
+        assert end_leftover_processes(instance) == []
+        instance.report_run_canceled(run)
+        assert end_leftover_processes(instance) == [run.run_id]
+        wait_until_ended(process, pids)
+        assert end_leftover_processes(instance) == []
+
+
+@dg.op
+def nothing():
+    pass
+
+
+def recorded():
+    @dg.job(executor_def=supervised(dg.in_process_executor))
+    def work():
+        nothing()
+
+    return work
+
+
+def test_a_run_records_its_process_and_a_process_without_steps_is_left_alone(instance):
+    with dg.execute_job(dg.reconstructable(recorded), instance=instance) as result:
+        run = instance.get_run_by_id(result.run_id)
+    assert process_of(instance, run.run_id) == RunProcess(os.getpid(), start_mark(os.getpid()))
+    instance.report_run_failed(run)
+    assert end_leftover_processes(instance) == []
+
+
+def started_run(instance, metadata):
+    """A run that says so of its process."""
+    run = instance.create_run_for_job(recorded(), status=dg.DagsterRunStatus.STARTED)
+    instance.report_engine_event("Started process for run", run, dg._core.events.EngineEventData(metadata))
+    return run.run_id
+
+
+def test_a_reused_pid_is_another_process(instance):
+    pid, (boot, _, ticks) = str(os.getpid()), start_mark(os.getpid()).rpartition(":")
+    alive = [started_run(instance, {"pid": pid}), started_run(instance, {"pid": pid, "start": f"{boot}:{ticks}"})]
+    gone = started_run(instance, {"pid": pid, "start": f"{boot}:{int(ticks) - 1}"})
+    assert fail_lost_runs(instance) == [gone]
+    assert {instance.get_run_by_id(each).status for each in alive} == {dg.DagsterRunStatus.STARTED}
+
+
+@pytest.mark.parametrize("step_s", [-1e6, 10.0, 1e6])
+def test_a_stepped_clock_ends_no_run(instance, monkeypatch, step_s):
+    started_run(instance, {"pid": str(os.getpid())})
+    started_run(instance, {"pid": str(os.getpid()), "start": start_mark(os.getpid())})
+    instance.create_run_for_job(recorded(), status=dg.DagsterRunStatus.STARTING)
+    assert fail_lost_runs(instance) == []
+    now_s = time.time()
+    monkeypatch.setattr(time, "time", lambda: now_s + step_s)
+    assert fail_lost_runs(instance) == []
+
+
+UPTIME = """
+mount --bind {fake} /proc/uptime && test "$(cat /proc/uptime)" = "100.00 100.00" && exec {python} -c '
+import dagster as dg
+from pipelines.automation.lost_runs import fail_lost_runs
+with dg.DagsterInstance.from_config("{home}") as instance:
+    print(fail_lost_runs(instance))
+'
+"""
+
+
+def can_mount():
+    return subprocess.run(["unshare", "-m", "true"], check=False, capture_output=True).returncode == 0
+
+
+@pytest.mark.skipif(not can_mount(), reason="needs a mount namespace, hence root")
+def test_another_uptime_in_a_container_ends_no_run(tmp_path, instance):
+    fake = tmp_path / "uptime"
+    fake.write_text("100.00 100.00\n")
+    (tmp_path / "dagster.yaml").touch()
+    started_run(instance, {"pid": str(os.getpid())})
+    started_run(instance, {"pid": str(os.getpid()), "start": start_mark(os.getpid())})
+    gone = started_run(instance, {"pid": str(2**22 + 1), "start": "boot:1"})
+    script = UPTIME.format(fake=fake, python=sys.executable, home=tmp_path)
+    said = subprocess.run(
+        ["unshare", "-m", "sh", "-c", script], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
+    assert said == f"{[gone]}\n"
