@@ -14,7 +14,7 @@ from deltasafe.perception.ensemble import Ensemble
 from deltasafe.perception.folding import folded
 from deltasafe.perception.metrics import NLL_CLIP
 from deltasafe.perception.onnx_enlarging import convolve_before_enlarging
-from deltasafe.perception.onnx_rewriting import Weights, sizes_of
+from deltasafe.perception.onnx_rewriting import Part, Weights, attributes, sizes_of
 from deltasafe.perception.onnx_winograd import multiply_less
 from deltasafe.storage import atomic_file
 
@@ -34,7 +34,7 @@ _LARGEST_CONSTANT = 16
 def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:
     """Write ``ensemble``; the file is the same for the same weights, and free of machine paths.
 
-    Input ``rgb``, uint8 (B, h, w, 3), h and w multiples of 16. Outputs ``p_occupied`` (B, h, w), recalibrated,
+    Input ``rgb``, uint8 (B, h, w, 3), any h and w. Outputs ``p_occupied`` (B, h, w), recalibrated,
     ``member_p_occupied`` (B, M, h, w) and ``member_logits`` (B, M, h, w), as the members say it.
 
     One member is traced; the others share its structure and differ in weights alone. Normalisation is folded into
@@ -138,7 +138,7 @@ def _traced(network: nn.Module) -> "onnx.ModelProto":
 
 
 def _follow_the_image(graph: "onnx.GraphProto") -> None:
-    """Turn sizes that the trace has fixed into shares of the image's own.
+    """Make target sizes and paddings, which the trace has fixed, follow the image; it may have any size.
 
     Raises:
         RuntimeError: a size is no share of the image's, or another node depends on it.
@@ -156,13 +156,16 @@ def _follow_the_image(graph: "onnx.GraphProto") -> None:
             if len(strides) != 1 or any(size % int(part) for size, part in zip(_EXAMPLE_SIZE, target, strict=True)):
                 raise RuntimeError(f"a map is scaled to {target}, which is no share of the image's {_EXAMPLE_SIZE}")
             name = node.output[0]
+            part = Part(name)
+            part.ceil_divide("image_size", *2 * list(strides), output="target")
             nodes += [
-                helper.make_node("Constant", [], [f"{name}.stride"], value_ints=2 * list(strides)),
-                helper.make_node("Div", ["image_size", f"{name}.stride"], [f"{name}.target"]),
+                *part.nodes,
                 helper.make_node("Shape", [node.input[0]], [f"{name}.batch"], start=0, end=2),
                 helper.make_node("Concat", [f"{name}.batch", f"{name}.target"], [f"{name}.size"], axis=0),
             ]
             node.input[3] = f"{name}.size"
+        elif node.op_type == "Conv":
+            _pad_for_any_size(node)
         elif node.op_type in ("Reshape", "Expand", "Slice", "Tile"):
             raise RuntimeError(f"the traced network fixes a shape in {node.op_type} {node.name}")
         nodes.append(node)
@@ -172,6 +175,22 @@ def _follow_the_image(graph: "onnx.GraphProto") -> None:
     del graph.node[:], graph.initializer[:], graph.value_info[:]
     graph.node.extend(nodes)
     graph.initializer.extend(kept)
+
+
+def _pad_for_any_size(convolution: "onnx.NodeProto") -> None:
+    """Let the runtime compute the padding where the network does: TensorFlow's "same" depends on the input size.
+
+    Such layers are those with unequal padding at begin and end, which holds for even sizes only. Odd sizes are padded
+    equally.
+    """
+    from onnx import helper
+
+    pads = attributes(convolution).get("pads", [])
+    half = len(pads) // 2
+    if pads[:half] != pads[half:]:
+        kept = [item for item in convolution.attribute if item.name not in ("pads", "auto_pad")]
+        del convolution.attribute[:]
+        convolution.attribute.extend([*kept, helper.make_attribute("auto_pad", "SAME_UPPER")])
 
 
 def _stack(graph: "onnx.GraphProto", traced: "onnx.GraphProto", weights: list[Weights]) -> list[str]:
