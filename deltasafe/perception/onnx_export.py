@@ -26,6 +26,8 @@ __all__ = ["export_onnx"]
 _OPSET = 18
 _EXAMPLE_SIZE = (160, 224)
 """Of the traced image: no map of any stride is square, and no two strides give the same size."""
+_ANY_SIZE = 1
+"""``model_version`` of a program that is right at any image size; 0 (not set): at multiples of 16 only."""
 _INT64 = 7
 _LARGEST_CONSTANT = 16
 """Of what the trace may add to the weights: bounds of activations, axes, sizes."""
@@ -34,7 +36,7 @@ _LARGEST_CONSTANT = 16
 def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:
     """Write ``ensemble``; the file is the same for the same weights, and free of machine paths.
 
-    Input ``rgb``, uint8 (B, h, w, 3), any h and w. Outputs ``p_occupied`` (B, h, w), recalibrated,
+    Input ``rgb``, uint8 (B, h, w, 3), any h and w; ``model_version`` 1 says so. Outputs ``p_occupied`` (B, h, w), recalibrated,
     ``member_p_occupied`` (B, M, h, w) and ``member_logits`` (B, M, h, w), as the members say it.
 
     One member is traced; the others share its structure and differ in weights alone. Normalisation is folded into
@@ -53,7 +55,8 @@ def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:
     graph = onnx.GraphProto(name="ensemble")
     each = _stack(graph, traced, weights)
     _conclude(graph, each, ensemble.temperature)
-    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", _OPSET)], ir_version=10)
+    opsets = [onnx.helper.make_opsetid("", _OPSET)]
+    model = onnx.helper.make_model(graph, opset_imports=opsets, ir_version=10, model_version=_ANY_SIZE)
     onnx.checker.check_model(model)
     with atomic_file(destination) as temporary:
         onnx.save(model, temporary)
