@@ -37,7 +37,7 @@ def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:
     """Write ``ensemble``; the file is the same for the same weights, and free of machine paths.
 
     Input ``rgb``, uint8 (B, h, w, 3), any h and w; ``model_version`` 1 says so. Outputs ``p_occupied``
-    (B, h, w), recalibrated, ``member_p_occupied`` (B, M, h, w) and ``member_logits`` (B, M, h, w), as the members say it.
+    (B, h, w), recalibrated, and ``member_p_occupied`` and ``member_logits`` (B, M, h, w), as the members give them.
 
     One member is traced; the others share its structure and differ in weights alone. Normalisation is folded into
     convolutions, what does not depend on a member (preprocessing) is computed once for all, and the decoder, where half

@@ -39,7 +39,7 @@ _BELOW = _ROWS
 """Rows of padding: one for the 3 x 3 kernel, and up to three that complete the last four rows. A multiple of four does
 not need those three; the strided convolution then ends before them."""
 _COARSEST_STRIDE = 4
-"""Of the rewritten maps. On coarser ones, which have few rows, the padding takes much of the gain."""
+"""Of the rewritten maps. Coarser maps have so few rows that padding is a large part of them."""
 _FEW = 8
 
 
