@@ -9,7 +9,6 @@ model_card.md         what it is, how it was judged, where it fails
 """
 
 import dataclasses
-import functools
 import pathlib
 import shutil
 from typing import Any
@@ -47,8 +46,10 @@ GOLDEN_TOLERANCE = 1e-4
 class FrozenEnsemble(Ensemble):
     """An ensemble that was loaded from a verified folder.
 
+    A pickle names the folder, which must be readable where the pickle is loaded; it is not verified again.
+
     Attributes:
-        folder: where it lies.
+        folder: where it lies, absolute.
         manifest: content of `manifest.json`.
         calibration: what the test images say about it.
         backend: what computes the logits; its ``name`` says which.
@@ -57,7 +58,7 @@ class FrozenEnsemble(Ensemble):
     def __init__(
         self, folder: pathlib.Path, manifest: dict[str, Any], device: str = "cpu", backend: str = "auto"
     ) -> None:
-        self.folder = folder
+        self.folder = folder.absolute()  # the program is read on first use, when the working directory may be another
         self.manifest = manifest
         self.calibration = Calibration.load(folder / "calibration.json")
         network, inference = described(folder, manifest)
@@ -76,11 +77,9 @@ class FrozenEnsemble(Ensemble):
                 )
             self._backend_name = "torch"
 
-    @functools.cached_property
-    def backend(self) -> InferenceBackend:
-        """What computes the logits."""
+    def _create_engine(self) -> InferenceBackend:
         if self._backend_name == "torch":
-            return super().backend
+            return super()._create_engine()
         return backend_of_program(self._backend_name, self.folder / "ensemble.onnx")
 
 

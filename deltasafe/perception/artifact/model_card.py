@@ -67,7 +67,7 @@ ensemble = deltasafe.load_ensemble("FOLDER")      # verifies every file first
 p_occupied = ensemble.p_occupied(rgb)             # uint8 (H, W, 3) -> float32 (H, W)
 ```
 
-or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, h, w, 3), multiples of 16, best about
+or `ensemble.onnx` with any ONNX runtime: input `rgb`, uint8 (B, h, w, 3), any size, best about
 {height} x {width}; outputs `p_occupied` (B, h, w), recalibrated, and `member_p_occupied` and `member_logits`
 (B, M, h, w), as the members say it.
 """

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from deltasafe.io.storage import atomic_file
 from deltasafe.perception.artifact.fuse_conv_bn import fuse_conv_bn
-from deltasafe.perception.artifact.onnx_graph import Weights, sizes_of
+from deltasafe.perception.artifact.onnx_graph import Part, Weights, attributes, sizes_of
 from deltasafe.perception.artifact.onnx_upsampling import convolve_before_upsampling
 from deltasafe.perception.artifact.onnx_winograd import rewrite_as_winograd
 from deltasafe.perception.calibration.metrics import NLL_CLIP
@@ -26,6 +26,8 @@ __all__ = ["export_onnx"]
 _OPSET = 18
 _EXAMPLE_SIZE = (160, 224)
 """Of the traced image: no map of any stride is square, and no two strides give the same size."""
+_ANY_SIZE = 1
+"""``model_version`` of a program that is right at any image size; 0 (not set): at multiples of 16 only."""
 _INT64 = 7
 _LARGEST_CONSTANT = 16
 """Of what the trace may add to the weights: bounds of activations, axes, sizes."""
@@ -34,8 +36,8 @@ _LARGEST_CONSTANT = 16
 def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:
     """Write ``ensemble``; the file is the same for the same weights, and free of machine paths.
 
-    Input ``rgb``, uint8 (B, h, w, 3), h and w multiples of 16. Outputs ``p_occupied`` (B, h, w), recalibrated,
-    ``member_p_occupied`` (B, M, h, w) and ``member_logits`` (B, M, h, w), as the members say it.
+    Input ``rgb``, uint8 (B, h, w, 3), any h and w; ``model_version`` 1 says so. Outputs ``p_occupied``
+    (B, h, w), recalibrated, and ``member_p_occupied`` and ``member_logits`` (B, M, h, w), as the members give them.
 
     One member is traced; the others share its structure and differ in weights alone. Normalization is fuse_conv_bn into
     convolutions, what does not depend on a member (preprocessing) is computed once for all, and the decoder, where half
@@ -53,7 +55,8 @@ def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:
     graph = onnx.GraphProto(name="ensemble")
     each = _stack(graph, traced, weights)
     _conclude(graph, each, ensemble.temperature)
-    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", _OPSET)], ir_version=10)
+    opsets = [onnx.helper.make_opsetid("", _OPSET)]
+    model = onnx.helper.make_model(graph, opset_imports=opsets, ir_version=10, model_version=_ANY_SIZE)
     onnx.checker.check_model(model)
     with atomic_file(destination) as temporary:
         onnx.save(model, temporary)
@@ -138,7 +141,7 @@ def _traced(network: nn.Module) -> "onnx.ModelProto":
 
 
 def _follow_the_image(graph: "onnx.GraphProto") -> None:
-    """Turn sizes that the trace has fixed into shares of the image's own.
+    """Make target sizes and paddings, which the trace has fixed, follow the image; it may have any size.
 
     Raises:
         RuntimeError: a size is no share of the image's, or another node depends on it.
@@ -156,13 +159,16 @@ def _follow_the_image(graph: "onnx.GraphProto") -> None:
             if len(strides) != 1 or any(size % int(part) for size, part in zip(_EXAMPLE_SIZE, target, strict=True)):
                 raise RuntimeError(f"a map is scaled to {target}, which is no share of the image's {_EXAMPLE_SIZE}")
             name = node.output[0]
+            part = Part(name)
+            part.ceil_divide("image_size", *2 * list(strides), output="target")
             nodes += [
-                helper.make_node("Constant", [], [f"{name}.stride"], value_ints=2 * list(strides)),
-                helper.make_node("Div", ["image_size", f"{name}.stride"], [f"{name}.target"]),
+                *part.nodes,
                 helper.make_node("Shape", [node.input[0]], [f"{name}.batch"], start=0, end=2),
                 helper.make_node("Concat", [f"{name}.batch", f"{name}.target"], [f"{name}.size"], axis=0),
             ]
             node.input[3] = f"{name}.size"
+        elif node.op_type == "Conv":
+            _pad_for_any_size(node)
         elif node.op_type in ("Reshape", "Expand", "Slice", "Tile"):
             raise RuntimeError(f"the traced network fixes a shape in {node.op_type} {node.name}")
         nodes.append(node)
@@ -172,6 +178,22 @@ def _follow_the_image(graph: "onnx.GraphProto") -> None:
     del graph.node[:], graph.initializer[:], graph.value_info[:]
     graph.node.extend(nodes)
     graph.initializer.extend(kept)
+
+
+def _pad_for_any_size(convolution: "onnx.NodeProto") -> None:
+    """Let the runtime compute the padding where the network does: TensorFlow's "same" depends on the input size.
+
+    Such layers are those with unequal padding at begin and end, which holds for even sizes only. Odd sizes are padded
+    equally.
+    """
+    from onnx import helper
+
+    pads = attributes(convolution).get("pads", [])
+    half = len(pads) // 2
+    if pads[:half] != pads[half:]:
+        kept = [item for item in convolution.attribute if item.name not in ("pads", "auto_pad")]
+        del convolution.attribute[:]
+        convolution.attribute.extend([*kept, helper.make_attribute("auto_pad", "SAME_UPPER")])
 
 
 def _stack(graph: "onnx.GraphProto", traced: "onnx.GraphProto", weights: list[Weights]) -> list[str]:

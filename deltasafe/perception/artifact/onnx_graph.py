@@ -83,6 +83,12 @@ class Part:
         """A constant vector."""
         return self.add("Constant", [], output, value_ints=values)
 
+    def ceil_divide(self, dividend: str, *divisors: int, output: str) -> str:
+        """``dividend`` (non-negative integers) over ``divisors``, rounded up: the size of a strided map."""
+        raised = self.integers(f"{output}.raising", *(divisor - 1 for divisor in divisors))
+        sum_ = self.add("Add", [dividend, raised], f"{output}.raised")
+        return self.add("Div", [sum_, self.integers(f"{output}.stride", *divisors)], output)
+
     def replace(self, graph: "onnx.GraphProto", last: str, others: set[str], weights: list[Weights]) -> None:
         """Put the nodes where ``last`` was computed; remove what computed ``others``, and weights that nobody reads."""
         from onnx import numpy_helper

@@ -113,7 +113,7 @@ def _matrix(part: Part, resize: "onnx.NodeProto", axis: int, stride: int) -> str
     own = Part(f"{part.name}.{'rows' if axis == 0 else 'columns'}")
     index = own.integers("axis", axis)
     pixels = own.add("Gather", ["image_size", index], "pixels")
-    small = own.add("Div", [pixels, own.integers("stride", stride)], "small")
+    small = own.ceil_divide(pixels, stride, output="small")
     large = own.add("Gather", [f"{resize.output[0]}.target", index], "large")
     zero, one = (own.add("Constant", [], name, value_int=value) for name, value in (("zero", 0), ("one", 1)))
     steps = own.add("Range", [zero, own.add("Squeeze", [small], "count"), one], "steps")

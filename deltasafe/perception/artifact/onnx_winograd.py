@@ -35,16 +35,19 @@ _OUTPUT = ((1, 1, 1, 1, 1, 0), (0, 1, -1, 2, -2, 0), (0, 1, 1, 4, 4, 0), (0, 1, 
 """A^T."""
 _BIASED = 1
 """The product that A^T adds to each row once: it takes the bias."""
-_IMAGE_MULTIPLE = 16
-"""Height and width of an image are multiples of it."""
+_BELOW = _ROWS
+"""Rows of padding: one for the 3 x 3 kernel, and up to three that complete the last four rows. A multiple of four does
+not need those three; the strided convolution then ends before them."""
+_COARSEST_STRIDE = 4
+"""Of the rewritten maps. Coarser maps have so few rows that padding is a large part of them."""
 _FEW = 8
 
 
 def rewrite_as_winograd(graph: "onnx.GraphProto", weights: list[Weights], sizes: Sizes, image_height: int) -> int:
     """Rewrite, in ``graph`` and all ``weights``, each 3 x 3 convolution, Relu, 1 x 1 convolution to few maps.
 
-    The rows of the result are put in order only after the last, where there are few maps; the number of rows must
-    be a multiple of four for every image.
+    The rows of the result are put in order only after the last, where there are few maps. Rows are padded to a
+    multiple of four, and the surplus is cut off at the end.
 
     Args:
         graph: one member.
@@ -63,7 +66,7 @@ def rewrite_as_winograd(graph: "onnx.GraphProto", weights: list[Weights], sizes:
         stride = image_height // sizes[node.output[0]][2]
         activation = only_user(users, node, "Relu")
         last = only_user(users, activation, "Conv") if activation is not None else None
-        if last is not None and is_plain_convolution(last, 1) and _IMAGE_MULTIPLE % (_ROWS * stride) == 0:
+        if last is not None and is_plain_convolution(last, 1) and stride <= _COARSEST_STRIDE:
             n_outputs, n_inputs = weights[0][last.input[1]].shape[:2]
             if _FEW * n_outputs <= n_inputs:
                 found.append((node, activation, last))
@@ -93,7 +96,7 @@ def _rewrite(
             f"rows.{index}",
             kernel_shape=[len(_INPUT), 1],
             strides=[_ROWS, 1],
-            pads=[1, 0, 1, 0],
+            pads=[1, 0, _BELOW, 0],
             group=channels,
         )
         inputs = [rows, f"{kernel}.{index}", *(bias if index == _BIASED else [])]
@@ -110,7 +113,10 @@ def _rewrite(
     apart = part.add("Reshape", [few, shape], "apart")
     turned = part.add("Transpose", [apart], "turned", perm=[0, 2, 3, 1, 4])
     shape = part.add("Concat", [part.integers("of_any", 0, 0, -1), _shape(part, few, 3)], "ordered.shape", axis=0)
-    part.named("Reshape", [turned, shape], last.output[0])
+    padded = part.add("Reshape", [turned, shape], "padded")
+    height = part.add("Shape", [source], "height", start=2, end=3)
+    bounds = [part.integers("first", 0), height, part.integers("along", 2)]
+    part.named("Slice", [padded, *bounds], last.output[0])
     part.replace(graph, last.output[0], {convolution.output[0], activation.output[0]}, weights)
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import pathlib
+import threading
 from collections.abc import Iterator
 from typing import Any, Protocol
 
@@ -17,10 +18,11 @@ __all__ = ["BACKENDS", "InferenceBackend", "TorchBackend", "backend_of_program",
 
 BACKENDS = ("auto", "torch", "onnxruntime", "openvino")
 _SPIN_US = "50"
+_SMALLEST_SIZE = (32, 32)
 
 
 class InferenceBackend(Protocol):
-    """One way of asking all members at once.
+    """One way of asking all members at once; threads may call it side by side.
 
     Attributes:
         name: one of `BACKENDS`, not ``auto``.
@@ -112,14 +114,19 @@ class _OpenVino:
         import openvino
 
         core = openvino.Core()
-        with _runnable(program, self.name):
-            model = core.read_model(program)
         wanted: dict[str, Any] = {
             "PERFORMANCE_HINT": "LATENCY",
             "INFERENCE_NUM_THREADS": torch.get_num_threads(),
             "INFERENCE_PRECISION_HINT": "f32",
         }
-        self._request = core.compile_model(model, "CPU", wanted).create_infer_request()
+        # a request holds the input and output of one inference at a time; with the hint LATENCY all threads of the
+        # runtime serve one inference, so that a request per thread would need more memory and save no time
+        self._lock = threading.Lock()
+        with _runnable(program, self.name):
+            self._request = core.compile_model(core.read_model(program), "CPU", wanted).create_infer_request()
+            # the first inference of a process initializes OpenVINO's bindings, which deadlocks if two threads do it
+            self.member_logits(np.zeros((1, *_SMALLEST_SIZE, 3), np.uint8))
 
     def member_logits(self, images: NDArray[np.uint8]) -> Tensor:
-        return torch.from_numpy(self._request.infer({"rgb": images})["member_logits"].copy())
+        with self._lock:
+            return torch.from_numpy(self._request.infer({"rgb": images})["member_logits"].copy())

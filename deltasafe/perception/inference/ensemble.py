@@ -1,7 +1,5 @@
 """Uniformly weighted mixture of M members: p_occupied of every pixel (section III-B)."""
 
-import functools
-
 import cv2
 import numpy as np
 import torch
@@ -12,6 +10,7 @@ from torch.nn.functional import interpolate
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.temperature import apply_temperature
 from deltasafe.perception.inference.backends import InferenceBackend, TorchBackend
+from deltasafe.perception.inference.lazy_backend import LazyEngine
 from deltasafe.perception.settings import InferenceSettings
 from deltasafe.perception.training.network import SegmentationNetwork
 
@@ -20,6 +19,9 @@ __all__ = ["Ensemble", "probability"]
 
 class Ensemble:
     """M networks that are asked together.
+
+    Any number of threads may use one ensemble. It can be pickled and copied before and after its first use, and used
+    in forked processes, where it computes with one thread.
 
     Args:
         members: networks in evaluation mode, at least one.
@@ -40,6 +42,7 @@ class Ensemble:
         self.settings = settings
         self.temperature = temperature
         self.device = torch.device(device)
+        self._engine = LazyEngine()
         self.members = nn.ModuleList(members).to(self.device).to(memory_format=torch.channels_last).eval()
 
     def __len__(self) -> int:
@@ -65,9 +68,12 @@ class Ensemble:
         stacked: NDArray[np.float32] = self._member_p_occupied(rgb).cpu().numpy()
         return stacked
 
-    @functools.cached_property
+    @property
     def backend(self) -> InferenceBackend:
-        """What computes the logits."""
+        """What computes the logits; created on first use."""
+        return self._engine.get(self._create_engine)
+
+    def _create_engine(self) -> InferenceBackend:
         return TorchBackend(self.members, self.device)
 
     @torch.inference_mode()

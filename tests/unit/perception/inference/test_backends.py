@@ -6,70 +6,25 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from torch import nn
 
 from deltasafe.errors import ArtifactError, SettingsError
 from deltasafe.perception.artifact import onnx_winograd
-from deltasafe.perception.artifact.frozen_ensemble import golden_difference, load_ensemble, write_frozen_ensemble
+from deltasafe.perception.artifact.frozen_ensemble import golden_difference, load_ensemble
 from deltasafe.perception.artifact.fuse_conv_bn import fuse_conv_bn
 from deltasafe.perception.artifact.onnx_export import export_onnx
-from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.inference.backends import select_backend
 from deltasafe.perception.inference.ensemble import Ensemble
-from deltasafe.perception.settings import InferenceSettings, NetworkSettings
-from deltasafe.perception.training.member import Member
+from deltasafe.perception.settings import NetworkSettings
 from deltasafe.perception.training.network import build_network
-
-INFERENCE = InferenceSettings(64, 48)
-NETWORK = NetworkSettings(pretrained=False, pyramid_channels=16)
-CALIBRATION = Calibration(
-    n_images=50,
-    n_members=3,
-    pixel_accuracy=0.97,
-    miou=0.93,
-    brier=0.02,
-    nll=0.07,
-    expected_calibration_error=0.01,
-    smallest_supported_delta=0.03,
-    temperature=0.7,
-)
-
-
-def image(height, width, seed=0):
-    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-
-
-def network(settings, seed):
-    """Statistics and scales as a training would leave them: folding an untrained normalization proves nothing."""
-    made = build_network(settings, seed).eval()
-    random = torch.Generator().manual_seed(seed)
-    for module in made.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            for values, low, high in (
-                (module.weight, 0.7, 1.3),
-                (module.bias, -0.3, 0.3),
-                (module.running_mean, -0.2, 0.2),
-                (module.running_var, 0.6, 1.5),
-            ):
-                values.data.copy_(low + (high - low) * torch.rand(values.shape, generator=random))
-    made.decoder[-1].weight.data.mul_(20)  # probabilities from 0 to 1
-    return made
+from tests.unit.perception.backend_cases import INFERENCE, NETWORK, freeze, image, installed, network
 
 
 @pytest.fixture(scope="module")
 def frozen(tmp_path_factory):
-    record = {"settings": {"network": dataclasses.asdict(NETWORK)}, "data_digest": "d" * 64}
-    members = [
-        Member.write(tmp_path_factory.mktemp("member"), network(NETWORK, seed), {**record, "seed": seed})
-        for seed in range(3)
-    ]
-    return write_frozen_ensemble(members, INFERENCE, CALIBRATION, image(48, 64), tmp_path_factory.mktemp("artifacts"))
-
-
-def installed(backend):
-    if backend != "torch":
-        pytest.importorskip(backend)
-    return backend
+    return freeze(tmp_path_factory.mktemp("artifacts"))
 
 
 @pytest.mark.parametrize("backend", ["onnxruntime", "openvino"])
@@ -96,6 +51,40 @@ def test_the_program_agrees_for_any_batch_and_applies_the_temperature(frozen):
         assert np.abs(mean[index] - ensemble.p_occupied(rgb)).max() < 1e-4
         assert np.abs(each[index] - ensemble.member_p_occupied(rgb)).max() < 1e-4
     assert np.abs(mean - each.mean(axis=1)).max() > 1e-3
+
+
+@pytest.fixture(scope="module")
+def default_program(tmp_path_factory):
+    import onnxruntime
+
+    ensemble = Ensemble([network(NetworkSettings(pretrained=False), seed) for seed in range(2)], INFERENCE)
+    file = tmp_path_factory.mktemp("program") / "ensemble.onnx"
+    export_onnx(ensemble, file)
+    return ensemble, onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
+
+
+def difference_from_torch(default_program, height, width):
+    ensemble, session = default_program
+    rgb = image(height, width)[None]
+    with torch.inference_mode():
+        expected = torch.sigmoid(ensemble.backend.member_logits(rgb)).numpy()
+    assert min(height, width) < 16 or np.ptp(expected) > 0.1
+    return np.abs(session.run(["member_p_occupied"], {"rgb": rgb})[0] - expected).max()
+
+
+@given(height=st.integers(1, 150), width=st.integers(1, 150))
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_the_program_agrees_with_torch_at_any_size(default_program, height, width):
+    assert difference_from_torch(default_program, height, width) < 1e-5
+
+
+@pytest.mark.parametrize("size", [(192, 256), (190, 250), (270, 480), (135, 241)])
+def test_the_program_agrees_with_torch_at_common_sizes(default_program, size):
+    assert difference_from_torch(default_program, *size) < 2e-5
+
+
+def test_a_program_for_any_size_has_model_version_1(default_program):
+    assert default_program[1].get_modelmeta().version == 1
 
 
 def test_nothing_is_computed_twice_and_no_normalization_is_left(frozen):
@@ -153,7 +142,7 @@ def test_every_network_can_be_frozen(settings, tmp_path):
     ensemble = Ensemble([network(settings, seed) for seed in range(2)], INFERENCE)
     export_onnx(ensemble, tmp_path / "ensemble.onnx")
     session = onnxruntime.InferenceSession(tmp_path / "ensemble.onnx", providers=["CPUExecutionProvider"])
-    for size in ((48, 64), (96, 32)):
+    for size in ((48, 64), (96, 32), (45, 70), (1, 1)):
         rgb = image(*size)[None]
         with torch.inference_mode():
             expected = torch.sigmoid(ensemble.backend.member_logits(rgb)).numpy()
