@@ -56,39 +56,39 @@ tracking-study: $(STAMP)
 
 # the smoke chain and a thousand plans on a Ray cluster and without one, hosts killed, runs side by side; a quarter of an hour
 scale: $(CLUSTER)
-	$(BIN)/python -m pipelines.scale --record docs/results/scale.json
+	$(BIN)/python -m evidence.scale --record docs/results/scale.json
 
 # each in turns with what one would write first; half an hour, on a machine with nothing else to do
 benchmarks: $(STAMP)
-	$(BIN)/python -m benchmarks.inference --record docs/results/perception.json
-	$(BIN)/python -m benchmarks.training --record docs/results/perception.json
-	$(BIN)/python -m benchmarks.paper_preset --record docs/results/paper_preset.json
-	$(BIN)/python -m benchmarks.planner --record docs/results/planner.json
+	$(BIN)/python -m evidence.benchmarks.inference --record docs/results/perception.json
+	$(BIN)/python -m evidence.benchmarks.training --record docs/results/perception.json
+	$(BIN)/python -m evidence.benchmarks.paper_preset --record docs/results/paper_preset.json
+	$(BIN)/python -m evidence.benchmarks.planner --record docs/results/planner.json
 
 # docs/results/README.md: what the records beside it say, and what was aimed at
 results: $(STAMP)
-	$(BIN)/python -m pipelines.results_page
+	$(BIN)/python -m evidence.results_page
 
 # malformed inputs, changed bytes, kills, a hundred runs in one process: each command fails if one promise of docs/reliability.md does not hold
 faults: $(STAMP)
-	$(BIN)/python -m faults.inputs --record docs/results/reliability.json
-	$(BIN)/python -m faults.flips --record docs/results/reliability.json
-	$(BIN)/python -m faults.pickles --record docs/results/reliability.json
-	$(BIN)/python -m faults.digests --record docs/results/reliability.json
-	$(BIN)/python -m faults.properties --record docs/results/reliability.json
-	$(BIN)/python -m faults.kills --record docs/results/reliability.json
-	$(BIN)/python -m faults.dagster_kills --record docs/results/reliability.json
-	$(BIN)/python -m faults.denials --record docs/results/reliability.json
-	$(BIN)/python -m faults.races --record docs/results/reliability.json
-	$(BIN)/python -m faults.soak --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.inputs --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.flips --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.pickles --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.digests --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.properties --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.kills --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.dagster_kills --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.denials --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.races --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.soak --record docs/results/reliability.json
 
 # dist/sbom.json: what is installed, for a scanner (CycloneDX)
 sbom: $(STAMP) $(AUDITOR)
-	$(BIN)/python -m faults.dependencies --sbom-alone
+	$(BIN)/python -m evidence.faults.dependencies --sbom-alone
 
 # the SBOM, and pip-audit where a database of vulnerabilities can be reached; says so where none can
 audit: $(STAMP) $(AUDITOR)
-	$(BIN)/python -m faults.dependencies $(if $(RECORD),--record $(RECORD))
+	$(BIN)/python -m evidence.faults.dependencies $(if $(RECORD),--record $(RECORD))
 
 # files in their own order, long ones first: reordered by number of tests, one core would wait for the last of them
 test: $(STAMP) check
@@ -118,7 +118,7 @@ wheel: $(STAMP)
 # three ways of pulling the ensemble, in environments of their own (7 GB below examples/ the first time);
 # ENSEMBLE=DIR names another than the one in use, RECORD=FILE merges the figures into a record
 examples: $(STAMP)
-	$(BIN)/python -m pipelines.consumers --torch-index '$(TORCH_INDEX)' \
+	$(BIN)/python -m evidence.consumers --torch-index '$(TORCH_INDEX)' \
 	  $(if $(ENSEMBLE),--ensemble '$(ENSEMBLE)') $(if $(RECORD),--record $(RECORD))
 
 team: $(TEAM)
@@ -137,7 +137,7 @@ lint-deploy: $(SERVICES)
 
 # the UI, used by clicks; a Chromium has to be there (docs/ui.md). SCREENSHOTS=DIR keeps what it saw, RECORD=FILE the outcome
 browser-test: $(BROWSER)
-	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m pipelines.operation browser $(if $(RECORD),--record $(RECORD))
+	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m evidence.operation browser $(if $(RECORD),--record $(RECORD))
 
 # the UI for the README, as it shows what the home holds
 pictures: $(BROWSER)
@@ -145,8 +145,8 @@ pictures: $(BROWSER)
 
 # after `make demo`: what orchestration cost of it; and new images, a worse ensemble, a rollback, by the tests that do them
 operation-record: $(STAMP)
-	$(BIN)/python -m pipelines.operation share --record docs/results/operation.json
-	$(BIN)/python -m pipelines.operation tests --record docs/results/operation.json
+	$(BIN)/python -m evidence.operation share --record docs/results/operation.json
+	$(BIN)/python -m evidence.operation tests --record docs/results/operation.json
 
 # into the environment $(1), by uv where it is there
 define install

@@ -92,7 +92,7 @@ def test_an_engine_that_is_not_installed_says_how_it_would_be(monkeypatch):
 
 @installed
 def test_a_cluster_makes_what_one_machine_makes_though_a_process_and_a_host_are_killed(tmp_path):
-    command = [sys.executable, "-m", "pipelines.scale", "--parts", "study", "driver", "--runs", "2"]
+    command = [sys.executable, "-m", "evidence.scale", "--parts", "study", "driver", "--runs", "2"]
     command += ["--iterations", "300", "--out", str(tmp_path / "figures.json")]
     ended = subprocess.run(command, cwd=ROOT, env=os.environ, capture_output=True, text=True, check=False)
     if "network namespaces are needed" in ended.stderr:
@@ -122,7 +122,7 @@ REPORTING = """
 from deltasafe.engine import Needs, Task
 from deltasafe.errors import DataError, WorkerLostError
 from deltasafe.ray_engine import RayEngine, RaySettings
-from pipelines.local_cluster import LocalCluster, apart
+from evidence.scale.local_cluster import LocalCluster, apart
 
 def speak(tell, name):
     import os
