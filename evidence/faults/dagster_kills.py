@@ -1,6 +1,6 @@
-"""SIGKILL of steps, run workers, the daemon, or all but steps, under Dagster: every run ends, and no process stays.
+"""SIGKILL steps, run workers and daemons under Dagster: every run ends within two minutes, and no process is left.
 
-``--without lifeline`` and ``--without lost_runs`` switch off what the project brings for that, to show what it is for.
+``--without parent_watchdog`` and ``--without lost_runs`` switch off one protection of the project, to show its effect.
 """
 
 import collections
@@ -9,44 +9,55 @@ import dataclasses
 import math
 import os
 import pathlib
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from random import Random
 
 import dagster as dg
 
 from deltasafe.progress import Progress, silent
-from evidence.faults.reporting import conclude, parser, progress_every
+from evidence.fixtures import temporary_home
+from evidence.reporting import command_parser, finish, print_progress
 from pipelines.home import PROJECT, prepare_home
 from pipelines.lost_runs import process_of
 
-__all__ = ["Outcome", "Stage", "kill_under_dagster", "main"]
-
-LONGEST_S = 120.0
-LEAVING_S = 8.0
-"""Time to take one's leave; less than a step of the location that nobody needs any more would still take."""
-AT_ONCE = 4
-"""As many as the home lets run."""
 LOCATION = "evidence.faults.dagster_location"
-PROTECTIONS = ("lifeline", "lost_runs")
+PROTECTIONS = ("parent_watchdog", "lost_runs")
 EVERYTHING = "everything"
-"""The worker with all that could notice its end, as when a machine goes down: the daemon and its code servers."""
-KINDS = ("step", "step", "run worker", "run worker", "daemon", EVERYTHING)
-ENDED = [dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED]
-SERVES = ("dagster._daemon", "grpc", "resource_tracker")
-"""Command lines of what may stay when no run is left."""
+"""The run worker, the daemon and its code servers, as when a machine goes down; steps keep running."""
+ENDED = (dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED)
+EXIT_S = 8.0
+"""Time that processes get to exit after the last run; shorter than a step of `dagster_location.beside` takes."""
+SERVICES = ("dagster._daemon", "grpc", "resource_tracker")
+"""Parts of the command lines of processes that may stay when no run is left."""
 
 
-class Stage:
-    """A home with a daemon that starts a run for each request.
+@dataclasses.dataclass(frozen=True)
+class KillSettings:
+    """How runs are killed.
+
+    Attributes:
+        kinds: what is killed, drawn at random for each run.
+        concurrent_runs: runs that are started together; the home allows four.
+        during: the step that must have started before its run is hit; empty for any.
+        timeout_s: a run that has not ended by then is stuck.
+    """
+
+    kinds: tuple[str, ...] = ("step", "step", "run worker", "run worker", "daemon", EVERYTHING)
+    concurrent_runs: int = 4
+    during: str = ""
+    timeout_s: float = 120.0
+
+
+class Deployment:
+    """A home with a daemon that starts one run per request.
 
     Args:
-        without: ``lifeline`` and ``lost_runs``, if they are to be off.
+        home: a new folder.
+        without: protections that are switched off.
     """
 
     def __init__(self, home: pathlib.Path, without: Collection[str] = ()) -> None:
@@ -55,42 +66,44 @@ class Stage:
         os.environ["DELTASAFE_HOME"] = str(home)
         self.home = prepare_home()
         self.instance = dg.DagsterInstance.get()
-        self._asked = 0
+        self._n_requests = 0
         self.switch_off(without)
         self.start_daemon()
 
-    def switch_off(self, without: Collection[str]) -> None:
-        """From now on these are off, and all others are on."""
+    def switch_off(self, protections: Collection[str]) -> None:
+        """Switch these protections off and all others on."""
         for name in PROTECTIONS:
-            (self.home / "without" / name).unlink(missing_ok=True)
-        for name in without:
-            (self.home / "without" / name).touch()
+            flag = self.home / "without" / name
+            if name in protections:
+                flag.touch()
+            else:
+                flag.unlink(missing_ok=True)
 
     def start_daemon(self) -> None:
-        """Anew, whether there was one or not."""
+        """Start a new daemon."""
         command = [sys.executable, "-m", "dagster._daemon", "run", "-m", LOCATION, "-d", str(PROJECT)]
         with (self.home / "daemon.log").open("a") as log:
             self.daemon = subprocess.Popen(command, cwd=PROJECT, stdout=log, stderr=log, start_new_session=True)
 
     def close(self) -> None:
-        """End all of it."""
-        for pid in self.processes():
-            os.kill(pid, signal.SIGKILL)
+        """Kill all processes of this home."""
+        _kill(self.processes())
         self.daemon.wait()
         self.instance.dispose()
 
-    def ask(self) -> str:
-        """Ask for a run; its name."""
-        self._asked += 1
-        (self.home / "requests" / f"{self._asked:05d}").touch()
-        return f"{self._asked:05d}"
+    def request_run(self) -> str:
+        """Request a run; return its name."""
+        self._n_requests += 1
+        name = f"{self._n_requests:05d}"
+        (self.home / "requests" / name).touch()
+        return name
 
     def run(self, name: str) -> dg.DagsterRun | None:
-        """The run that was asked for, once there is one."""
+        """Return the run of a request, or None if it is not launched yet."""
         return next(iter(self.instance.get_runs(dg.RunsFilter(tags={"request": name}))), None)
 
     def processes(self) -> dict[int, str]:
-        """All processes of this home but this one, and their command lines."""
+        """Return PID and command line of all processes of this home except this one."""
         marker, found = f"DELTASAFE_HOME={self.home}".encode(), {}
         for folder in pathlib.Path("/proc").glob("[0-9]*"):
             try:
@@ -102,50 +115,44 @@ class Stage:
             found[int(folder.name)] = command.replace(b"\0", b" ").decode(errors="replace")
         return found
 
+    def run_processes(self) -> dict[int, str]:
+        """Return the processes that belong to a run."""
+        return {pid: command for pid, command in self.processes().items() if not _is_service(command)}
+
     def left_over(self) -> list[str]:
-        """Command lines of processes that serve nobody, some seconds after the last run has ended."""
-        until, left = time.monotonic() + LEAVING_S, [""]
-        while left and time.monotonic() < until:
+        """Return the command lines of run processes that have not exited some seconds after the last run."""
+        deadline, left = time.monotonic() + EXIT_S, [""]
+        while left and time.monotonic() < deadline:
             time.sleep(0.5)
-            left = [command for command in self.processes().values() if not any(each in command for each in SERVES)]
+            left = list(self.run_processes().values())
         return left
 
     def kill(self, kind: str, name: str) -> bool:
-        """Kill the daemon, or what works for the run ``name`` now; whether there was such a process."""
+        """Kill the daemon or a process of the run ``name``; False if there is no such process."""
+        if kind == EVERYTHING:
+            killed = self.kill("run worker", name)
+            _kill(pid for pid, command in self.processes().items() if _is_service(command))
+            self.daemon.wait()
+            return killed
         if kind == "daemon":
             self.daemon.kill()
             self.daemon.wait()
             return True
-        if kind == EVERYTHING:
-            killed = self.kill("run worker", name)
-            for serving in [
-                pid for pid, command in self.processes().items() if any(each in command for each in SERVES)
-            ]:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(serving, signal.SIGKILL)
-            self.daemon.wait()
-            return killed
         pid = self._pid_of(kind, name)
-        if pid is None:
-            return False
-        try:
-            os.kill(pid, signal.SIGKILL)
-        except ProcessLookupError:
-            return False
-        return True
+        return pid is not None and _kill([pid]) == 1
 
     def has_ended(self, name: str) -> bool:
-        """Whether the run is over."""
+        """Tell whether the run has ended."""
         run = self.run(name)
         return run is not None and run.is_finished
 
-    def is_at_work(self, kind: str, name: str, during: str) -> bool:
-        """Whether a run has begun (the step ``during`` if that is not empty), and has a step if one is to be killed."""
+    def can_be_hit(self, kind: str, name: str, during: str) -> bool:
+        """Tell whether the run has started (and the step ``during``, if given) and has a process of this kind."""
         run = self.run(name)
         if run is None or run.status in (dg.DagsterRunStatus.NOT_STARTED, dg.DagsterRunStatus.QUEUED):
             return False
-        begun = self.instance.all_logs(run.run_id, of_type=dg.DagsterEventType.STEP_START) if during else []
-        if during and not any(entry.step_key == during for entry in begun):
+        started = self.instance.all_logs(run.run_id, of_type=dg.DagsterEventType.STEP_START) if during else []
+        if during and not any(entry.step_key == during for entry in started):
             return run.is_finished
         return kind != "step" or run.is_finished or self._pid_of(kind, name) is not None
 
@@ -168,92 +175,99 @@ class Stage:
 
 @dataclasses.dataclass
 class Outcome:
-    """Kills by what was killed, ends of the runs that were hit, what was wrong, and the longest time to an end."""
+    """Number of kills by kind, final states of the runs, failures, and the longest time from a kill to an end."""
 
     kills: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
     ends: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
-    wrong: list[str] = dataclasses.field(default_factory=list)
+    failures: list[str] = dataclasses.field(default_factory=list)
     longest_s: float = 0.0
 
 
 def kill_under_dagster(
-    stage: Stage,
-    count: int,
-    seed: int,
-    progress: Progress = silent,
-    *,
-    kinds: Sequence[str] = KINDS,
-    at_once: int = AT_ONCE,
-    during: str = "",
-    longest_s: float = LONGEST_S,
+    deployment: Deployment, count: int, seed: int, settings: KillSettings | None = None, progress: Progress = silent
 ) -> Outcome:
-    """Runs by fours (``at_once``), each hit once; one that has not ended after ``longest_s`` is stuck.
-
-    Args:
-        during: the step that must have begun before its run is hit; any or none if empty.
-    """
+    """Start runs in groups and hit each of them once, until there are ``count`` kills or five failures."""
+    settings = settings or KillSettings()
     random, outcome = Random(seed), Outcome()
-    while outcome.kills.total() < count and len(outcome.wrong) < 5:
-        names = [stage.ask() for _ in range(at_once)]
-        hit_s = _strike(stage, {name: random.choice(kinds) for name in names}, during, random, outcome)
+    while outcome.kills.total() < count and len(outcome.failures) < 5:
+        names = [deployment.request_run() for _ in range(settings.concurrent_runs)]
+        kinds = {name: random.choice(settings.kinds) for name in names}
+        hit_s = _hit_runs(deployment, kinds, settings, random, outcome)
         for name in names:
-            while (run := stage.run(name)) is None or run.status not in ENDED:
-                if time.monotonic() - hit_s[name] > longest_s:
-                    outcome.wrong.append(f"run {name}: {run.status.value if run else 'none'} after {longest_s:g} s")
+            while (run := deployment.run(name)) is None or run.status not in ENDED:
+                if time.monotonic() - hit_s[name] > settings.timeout_s:
+                    state = run.status.value if run else "none"
+                    outcome.failures.append(f"run {name}: {state} after {settings.timeout_s:g} s")
                     break
                 time.sleep(0.25)
             outcome.longest_s = max(outcome.longest_s, time.monotonic() - hit_s[name])
             outcome.ends[run.status.value if run else "none"] += 1
-        outcome.wrong += [f"left over after {names}: {command}" for command in stage.left_over()]
+        outcome.failures += [f"left over after {names}: {command}" for command in deployment.left_over()]
         done = min(outcome.kills.total(), count)
-        progress(done, count, f"{len(outcome.wrong)} wrong, longest {outcome.longest_s:.0f} s")
+        progress(done, count, f"{len(outcome.failures)} failures, longest {outcome.longest_s:.0f} s")
     return outcome
 
 
-def _strike(stage: Stage, kinds: Mapping[str, str], during: str, random: Random, outcome: Outcome) -> dict[str, float]:
-    """Hit each run once, at a random instant after there is something to be hit; when that was."""
+def _hit_runs(
+    deployment: Deployment, kinds: Mapping[str, str], settings: KillSettings, random: Random, outcome: Outcome
+) -> dict[str, float]:
+    """Hit each run once, at a random instant after it can be hit; return the times."""
     due_s: dict[str, float] = {}
     hit_s: dict[str, float] = {}
-    until_s = time.monotonic() + LONGEST_S
+    deadline = time.monotonic() + 120.0
     while len(hit_s) < len(kinds):
         for name, kind in kinds.items():
-            if name not in due_s and (stage.is_at_work(kind, name, during) or time.monotonic() > until_s):
+            expired = time.monotonic() > deadline
+            if name not in due_s and (deployment.can_be_hit(kind, name, settings.during) or expired):
                 due_s[name] = time.monotonic() + random.uniform(0.0, 4.0)
             if name in hit_s or time.monotonic() < due_s.get(name, math.inf):
                 continue
-            killed = stage.kill(kind, name)
-            if not killed and kind != EVERYTHING and not stage.has_ended(name) and time.monotonic() < until_s:
-                continue  # between two of its steps, or before its worker has reported itself
+            killed = deployment.kill(kind, name)
+            if not killed and kind != EVERYTHING and not deployment.has_ended(name) and not expired:
+                continue  # between two steps, or before the worker has reported its PID
             outcome.kills[kind] += killed
             hit_s[name] = time.monotonic()
             if kind in ("daemon", EVERYTHING):
                 time.sleep(random.uniform(0.0, 3.0))
-                stage.start_daemon()
+                deployment.start_daemon()
         time.sleep(0.1)
     return hit_s
 
 
+def _is_service(command: str) -> bool:
+    return any(name in command for name in SERVICES)
+
+
+def _kill(pids: Iterable[int]) -> int:
+    """SIGKILL processes; return how many of them existed."""
+    killed = 0
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+            killed += 1
+    return killed
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """``python -m evidence.faults.dagster_kills``."""
-    made = parser(__doc__)
-    made.add_argument("--count", type=int, default=100, help="kills (default 100)")
-    made.add_argument("--without", choices=PROTECTIONS, help="leave this out, to see what becomes of the runs")
-    options = made.parse_args(arguments)
-    home = pathlib.Path(tempfile.mkdtemp(prefix="deltasafe-faults-"))
-    stage = Stage(home, [options.without] if options.without else [])
-    try:
-        outcome = kill_under_dagster(stage, options.count, options.seed, progress_every(1))
-    finally:
-        stage.close()
-        shutil.rmtree(home, ignore_errors=True)
+    """Run ``python -m evidence.faults.dagster_kills``."""
+    parser = command_parser("faults.dagster_kills", __doc__, seeded=True)
+    parser.add_argument("--count", type=int, default=100, help="kills (default 100)")
+    parser.add_argument("--without", choices=PROTECTIONS, help="switch off this protection, to see its effect")
+    options = parser.parse_args(arguments)
+    with temporary_home() as folder:
+        deployment = Deployment(folder / "home", [options.without] if options.without else [])
+        try:
+            outcome = kill_under_dagster(deployment, options.count, options.seed, progress=print_progress(1))
+        finally:
+            deployment.close()
     figures = {
         "dagster_kills": outcome.kills.total(),
-        "dagster_kills_stuck": len(outcome.wrong),
+        "dagster_kills_stuck": len(outcome.failures),
         "dagster_kills_longest_s": outcome.longest_s,
     }
-    about = {"killed": dict(outcome.kills), "ends": dict(outcome.ends)}
-    print(about)
-    return conclude("dagster_kills", figures, options, outcome.wrong, **about)
+    killed, ends = dict(outcome.kills), dict(outcome.ends)
+    print(f"killed: {killed}; final states of the runs: {ends}")
+    return finish(options, figures, outcome.failures, killed=killed, ends=ends)
 
 
 if __name__ == "__main__":

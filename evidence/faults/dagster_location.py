@@ -1,7 +1,7 @@
-"""A code location of quick steps, to be killed: executor, I/O manager and clean-up are the project's own.
+"""A code location of quick steps for `dagster_kills`, with the project's executor settings, I/O manager and sensor.
 
-A file in ``requests/`` below the home asks for a run; its name becomes the run's tag ``request``. Files in ``without/``
-switch off what is to be shown to be needed: ``lifeline``, ``lost_runs``.
+A file in ``requests/`` below the home requests a run; its name becomes the run's tag ``request``. A file in
+``without/`` switches off a protection: ``parent_watchdog`` or ``lost_runs``.
 """
 
 import os
@@ -14,15 +14,13 @@ from deltasafe.storage import atomic_folder
 from pipelines.io import FolderPointers
 from pipelines.lost_runs import fail_lost_runs
 
-__all__ = ["defs"]
-
 HOME = pathlib.Path(os.environ["DELTASAFE_HOME"])
 STEP_S, LONG_STEP_S = 1.5, 20.0
 
 
 class _Pointers(FolderPointers):
     def setup_for_execution(self, context: dg.InitResourceContext) -> None:
-        if not _is_off("lifeline"):
+        if not _is_off("parent_watchdog"):
             super().setup_for_execution(context)
 
 
@@ -39,28 +37,28 @@ def _write(name: str, run_id: str, seconds: float = STEP_S) -> pathlib.Path:
     return folder
 
 
-def _sound(folder: pathlib.Path) -> None:
+def _verify(folder: pathlib.Path) -> None:
     if {path.read_text(encoding="utf-8") for path in folder.iterdir()} != {folder.name}:
         raise ValueError(f"{folder} is torn")
 
 
 @dg.asset
 def first(context: dg.AssetExecutionContext) -> pathlib.Path:
-    """One step."""
+    """Write a folder."""
     return _write("first", context.run_id)
 
 
 @dg.asset
 def second(context: dg.AssetExecutionContext, first: pathlib.Path) -> pathlib.Path:
-    """Another, that reads what the first wrote."""
-    _sound(first)
+    """Verify the folder of `first` and write another."""
+    _verify(first)
     return _write("second", context.run_id)
 
 
 @dg.asset
 def beside(context: dg.AssetExecutionContext, first: pathlib.Path) -> pathlib.Path:
-    """A third, at the same time as the second; it would still be at work when its run has ended without it."""
-    _sound(first)
+    """Run at the same time as `second`, for so long that it would outlive a run that was killed."""
+    _verify(first)
     return _write("beside", context.run_id, LONG_STEP_S)
 
 
@@ -69,16 +67,16 @@ steps = dg.define_asset_job("steps", dg.AssetSelection.all())
 
 @dg.sensor(job=steps, minimum_interval_seconds=1, default_status=dg.DefaultSensorStatus.RUNNING)
 def requests(context: dg.SensorEvaluationContext) -> dg.SensorResult:
-    """A run for every request, once."""
+    """Launch one run per request."""
     names = sorted(path.name for path in (HOME / "requests").iterdir())
     new = [name for name in names if name > (context.cursor or "")]
-    made = [dg.RunRequest(run_key=name, tags={"request": name}) for name in new]
-    return dg.SensorResult(made, cursor=names[-1] if names else "")
+    runs = [dg.RunRequest(run_key=name, tags={"request": name}) for name in new]
+    return dg.SensorResult(runs, cursor=names[-1] if names else "")
 
 
 @dg.sensor(job=steps, minimum_interval_seconds=10, default_status=dg.DefaultSensorStatus.RUNNING)
 def lost_runs(context: dg.SensorEvaluationContext) -> dg.SkipReason:
-    """As in the project, a little more often."""
+    """Fail lost runs as the project's sensor does, at a shorter interval."""
     if _is_off("lost_runs"):
         return dg.SkipReason("switched off")
     return dg.SkipReason(f"marked as failed: {fail_lost_runs(context.instance)}")

@@ -1,4 +1,7 @@
-"""No room, no permission, no tracking server, a locked database: a clear error or a call that waits, the old intact."""
+"""Deny writers disk space, permission, the tracking server or its database.
+
+A writer must either raise a `WriteError` with a remedy or queue the call, and must keep the previous version.
+"""
 
 import os
 import pathlib
@@ -15,24 +18,22 @@ from random import Random
 
 from deltasafe.errors import WriteError
 from deltasafe.siblings import left_behind
-from evidence.faults.judging import as_reader
-from evidence.faults.killing import Writer, run_alone, start_alone
-from evidence.faults.reporting import conclude, parser, progress_every
-from evidence.faults.writers import prepared_writers
+from evidence.faults.children import Child, Writer, ignore, run_in_child
+from evidence.faults.rejection import unprivileged
+from evidence.faults.writers import REGISTRY_ALIAS, prepared_writers
+from evidence.reporting import command_parser, finish, print_progress
 from pipelines.home import TRACKING_VARIABLE
 
-__all__ = ["deny", "main", "no_permission", "no_room"]
-
 Denial = Callable[[], AbstractContextManager[object]]
-ALIAS = "registry alias"
-COMMITTED = " | committed before that: "
-"""What a writer of two things (an execution, then its log) has finished by then, stays."""
-NOBODY = "http://127.0.0.1:9"
+COMMITTED = " | committed before: "
+"""Separates the error from the version that a writer of two artifacts (execution, then log) had committed by then."""
+UNREACHABLE_SERVER = "http://127.0.0.1:9"
+PROCESSES = 4
 
 
 @contextmanager
-def no_room(limit_bytes: int) -> Iterator[None]:
-    """No file can become larger; how a full disk looks to a program, but for the number of the error."""
+def no_space(limit_bytes: int) -> Iterator[None]:
+    """Limit the size of every file. Like a full disk, except for the error number (EFBIG)."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, before[1]))
@@ -45,12 +46,12 @@ def no_room(limit_bytes: int) -> Iterator[None]:
 
 @contextmanager
 def no_permission(home: pathlib.Path) -> Iterator[None]:
-    """Everything below can be read, and nothing written; whoever is privileged forgoes it."""
+    """Make everything below ``home`` read-only, also for root."""
     folders = [home, *(path for path in home.rglob("*") if path.is_dir() and not path.is_symlink())]
     for folder in folders:
         folder.chmod(0o555)
     try:
-        with as_reader():
+        with unprivileged():
             yield
     finally:
         for folder in folders:
@@ -58,9 +59,9 @@ def no_permission(home: pathlib.Path) -> Iterator[None]:
 
 
 @contextmanager
-def nobody_answers() -> Iterator[None]:
-    """The tracking server is away."""
-    os.environ[TRACKING_VARIABLE] = NOBODY
+def unreachable_server() -> Iterator[None]:
+    """Name a tracking server that does not answer."""
+    os.environ[TRACKING_VARIABLE] = UNREACHABLE_SERVER
     try:
         yield
     finally:
@@ -69,39 +70,40 @@ def nobody_answers() -> Iterator[None]:
 
 @contextmanager
 def locked_database(home: pathlib.Path) -> Iterator[None]:
-    """Somebody else writes to MLflow's database and does not come to an end."""
+    """Hold an exclusive lock on MLflow's database."""
     with sqlite3.connect(home / "mlflow" / "mlflow.db") as other:
         other.execute("BEGIN EXCLUSIVE")
         yield
         other.rollback()
 
 
-def deny(writer: Writer, home: pathlib.Path, what: str, denial: Denial) -> str:
-    """Write one version, be denied the next, and write it after all; what was wrong, or nothing."""
+def deny(writer: Writer, home: pathlib.Path, name: str, denial: Denial) -> str:
+    """Write one version, deny the next, then write it without denial; return what is wrong, or an empty string."""
     home.mkdir(parents=True)
     following = 1 + writer.per_run
-    if said := run_alone(partial(writer.write, home, 1, lambda done: None)):
-        return f"{writer.name} cannot even be written: {said}"
-    before = run_alone(lambda: str(writer.read(home)))
-    said, _, committed = run_alone(partial(_denied, writer, home, following, denial)).partition(COMMITTED)
-    between = run_alone(lambda: str(writer.read(home)))
-    left = [path.name for path in left_behind(home)]
-    after = run_alone(partial(_write_and_read, writer, home, following))
-    wanted = str(following + writer.per_run - 1)
-    wrong = {
-        said: bool(said) and not (said.startswith("WriteError: ") and "; " in said),
-        f"no error, and {between} stands there": not said and between != wanted,
-        f"{before} stood there, and now {between}": bool(said) and between not in (before, committed),
-        f"left {left}": bool(left),
-        f"afterwards: {after}": after != wanted,
+    if failure := run_in_child(partial(writer.write, home, 1, ignore)):
+        return f"{writer.name} cannot be written without a denial: {failure}"
+    before = run_in_child(lambda: str(writer.read(home)))
+    error, _, committed = run_in_child(partial(_write_denied, writer, home, following, denial)).partition(COMMITTED)
+    during = run_in_child(lambda: str(writer.read(home)))
+    temporary = [path.name for path in left_behind(home)]
+    after = run_in_child(partial(_write_and_read, writer, home, following))
+    expected = str(following + writer.per_run - 1)
+    checks = {
+        f"not a WriteError with a remedy: {error}": error and not (error.startswith("WriteError: ") and "; " in error),
+        f"no error, but version {during} is stored": not error and during != expected,
+        f"version {before} was stored, now {during}": error and during not in (before, committed),
+        f"left behind: {temporary}": temporary,
+        f"after the denial: {after}": after != expected,
     }
-    return "".join(f"{writer.name}, {what}: {words}. " for words, holds in wrong.items() if holds)
+    return "".join(f"{writer.name}, {name}: {text}. " for text, failed in checks.items() if failed)
 
 
-def _denied(writer: Writer, home: pathlib.Path, number: int, denial: Denial) -> str:
-    # what is imported and read on the way must have been, by who may: the interpreter can be out of others' reach
-    writer.write(home.with_name(f"{home.name} before"), 1, lambda done: None)
-    shutil.rmtree(home.with_name(f"{home.name} before"))
+def _write_denied(writer: Writer, home: pathlib.Path, number: int, denial: Denial) -> str:
+    # imports and caches must be loaded with privileges: the interpreter may be unreadable without them
+    practice = home.with_name(f"{home.name} practice")
+    writer.write(practice, 1, ignore)
+    shutil.rmtree(practice)
     committed: list[int] = []
     try:
         with denial():
@@ -112,39 +114,40 @@ def _denied(writer: Writer, home: pathlib.Path, number: int, denial: Denial) -> 
 
 
 def _write_and_read(writer: Writer, home: pathlib.Path, number: int) -> str:
-    writer.write(home, number, lambda done: None)
+    writer.write(home, number, ignore)
     return str(writer.read(home))
 
 
-def denials_of(writer: Writer, place: pathlib.Path, seed: int, count: int) -> Iterator[tuple[str, Denial]]:
-    """``count`` limits on the size of files, a folder that may not be written, and, of the registry, MLflow away."""
+def denials_of(writer: Writer, home: pathlib.Path, seed: int, count: int) -> Iterator[tuple[str, Denial]]:
+    """Yield ``count`` random file size limits, a read-only folder, and for the registry two failures of MLflow."""
     random = Random(f"{seed} {writer.name}")
     for _ in range(count):
-        limit = int(10 ** random.uniform(0.0, 5.0))
-        yield f"room for {limit} bytes a file", partial(no_room, limit)
-    yield "no permission", partial(no_permission, place)
-    if writer.name == ALIAS:
-        yield "nobody answers", nobody_answers
-        yield "a locked database", partial(locked_database, place)
+        limit_bytes = int(10 ** random.uniform(0.0, 5.0))
+        yield f"at most {limit_bytes} bytes per file", partial(no_space, limit_bytes)
+    yield "no permission", partial(no_permission, home)
+    if writer.name == REGISTRY_ALIAS:
+        yield "unreachable server", unreachable_server
+        yield "locked database", partial(locked_database, home)
 
 
-def write_at_once(home: pathlib.Path, processes: int, calls: int) -> str:
-    """Processes that all write to MLflow's database; what was wrong, or nothing."""
+def record_concurrently(home: pathlib.Path, processes: int, calls: int) -> str:
+    """Record members from several processes in one MLflow database; return what is wrong, or an empty string."""
     from assets.interfaces import TrainedMember
     from pipelines.tracking import MlflowTracker
 
-    def work(number: int) -> None:
+    def record(process: int, send: object) -> None:
         for call in range(calls):
-            name = f"member_{number}_{call}"
+            name = f"member_{process}_{call}"
             member = TrainedMember(name, {"seed": call}, [0.5, 0.4], 2, [1.0], {"set": "b" * 64}, home / "none")
             MlflowTracker(home).member("a" * 64, member)
 
-    for pid in [start_alone(partial(work, number)) for number in range(processes)]:
-        os.waitpid(pid, 0)
-    return run_alone(partial(_count_of_runs, home, processes * calls))
+    for child in [Child(partial(record, process)) for process in range(processes)]:
+        child.wait()
+        child.close()
+    return run_in_child(partial(_missing_runs, home, processes * calls))
 
 
-def _count_of_runs(home: pathlib.Path, expected: int) -> str:
+def _missing_runs(home: pathlib.Path, expected: int) -> str:
     from pipelines.tracking import MlflowTracker
 
     tracker = MlflowTracker(home)
@@ -154,29 +157,28 @@ def _count_of_runs(home: pathlib.Path, expected: int) -> str:
     members = [run.info.run_name for run in runs if "mlflow.parentRunId" in run.data.tags]
     if len(members) == len({*members}) == expected and not tracker.pending.files():
         return ""
-    return f"{expected} members were recorded at once, {len({*members})} of {len(members)} runs are found"
+    return f"{expected} members were recorded concurrently, but {len({*members})} distinct of {len(members)} are stored"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """``python -m evidence.faults.denials``."""
-    made = parser(__doc__)
-    made.add_argument("--count", type=int, default=6, help="limits on the size of files, for each writer (default 6)")
-    options = made.parse_args(arguments)
-    progress, failures, tried = progress_every(1), list[str](), 0
-    with prepared_writers() as (home, all_of_them):
-        for writer in all_of_them:
-            place = home / writer.name
-            for what, denial in denials_of(writer, place, options.seed, options.count):
+    """Run ``python -m evidence.faults.denials``."""
+    parser = command_parser("faults.denials", __doc__, seeded=True)
+    parser.add_argument("--count", type=int, default=6, help="file size limits per writer (default 6)")
+    options = parser.parse_args(arguments)
+    progress, failures, tried = print_progress(1), list[str](), 0
+    with prepared_writers() as (home, writers):
+        for writer in writers:
+            for name, denial in denials_of(writer, home / writer.name, options.seed, options.count):
                 began_s = time.monotonic()
-                wrong = deny(writer, place, what, denial)
-                shutil.rmtree(place)
-                failures += [wrong] if wrong else []
+                failures.append(deny(writer, home / writer.name, name, denial))
+                shutil.rmtree(home / writer.name)
                 tried += 1
-                progress(tried, tried, f"{writer.name}, {what}: {time.monotonic() - began_s:.1f} s {wrong}")
-        wrong = write_at_once(home / "at once", 4, 5)
-        failures += [wrong] if wrong else []
-    figures = {"denials": tried, "denials_failed": len(failures), "writers_at_once": 4}
-    return conclude("denials", figures, options, failures)
+                took_s = time.monotonic() - began_s
+                progress(tried, tried, f"{writer.name}, {name}: {took_s:.1f} s {failures[-1]}")
+        failures.append(record_concurrently(home / "concurrent", PROCESSES, 5))
+    failures = [failure for failure in failures if failure]
+    figures = {"denials": tried, "denials_failed": len(failures), "writers_at_once": PROCESSES}
+    return finish(options, figures, failures)
 
 
 if __name__ == "__main__":

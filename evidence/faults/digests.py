@@ -1,7 +1,7 @@
-"""One seed, three processes, the same bytes: an augmented set, a trained member, a plan and an execution.
+"""Make an augmented set, a member, a plan and an execution from one seed in several processes, and compare digests.
 
-The processes begin anew each time, with other seeds of Python's own hashing; each trains with one thread, since sums
-over several are taken in an order of their own.
+Every process starts anew, with another seed of Python's string hashing, and trains with one thread: with several
+threads, the order of floating-point sums is not defined.
 """
 
 import hashlib
@@ -10,18 +10,15 @@ import os
 import pathlib
 import subprocess
 import sys
-import tempfile
 
 from deltasafe.progress import Progress, silent
-from evidence.faults.reporting import conclude, parser, progress_every
-
-__all__ = ["compare", "digests_of", "main"]
-
-ROOT = pathlib.Path(__file__).parents[2]
+from evidence.fixtures import temporary_home, tiny_hands, tiny_set
+from evidence.reporting import command_parser, finish, print_progress
+from pipelines.home import PROJECT
 
 
 def digests_of(seed: int, home: pathlib.Path) -> dict[str, str]:
-    """SHA-256 of each kind, made from the seed in this process."""
+    """Make each artifact from the seed in this process, and return the SHA-256 of each."""
     return {**_perception(seed, home), **_motion(seed)}
 
 
@@ -31,14 +28,13 @@ def _perception(seed: int, home: pathlib.Path) -> dict[str, str]:
     from deltasafe.perception.settings import NetworkSettings, TrainingSettings
     from deltasafe.perception.training import train_member
     from deltasafe.storage import sha256_of_file
-    from evidence.faults.sets import tiny_hands, tiny_set
 
     torch.set_num_threads(1)
-    made = tiny_set(tiny_hands(home / "hands"), home / "set", seed)
-    made.verify()
+    data = tiny_set(tiny_hands(home / "hands"), home / "set", seed)
+    data.verify()
     training = TrainingSettings(NetworkSettings(pretrained=False, pyramid_channels=16), epochs=2, batch_size=4)
-    member = train_member(made, training, seed, home / "member", "cpu")
-    return {"dataset": made.digest, "member": sha256_of_file(member.weights)}
+    member = train_member(data, training, seed, home / "member", "cpu")
+    return {"dataset": data.digest, "member": sha256_of_file(member.weights)}
 
 
 def _motion(seed: int) -> dict[str, str]:
@@ -48,47 +44,45 @@ def _motion(seed: int) -> dict[str, str]:
     from deltasafe.scene import Cuboid, grid_from_shapes
 
     block = Cuboid((0.0, 0.0, 0.03), (0.02, 0.05, 0.03))
-    field = grid_from_shapes([block], 0.01, (-0.2, -0.15, 0.0), (0.2, 0.15, 0.09), 0.005)
-    ends = Pose(-0.14, 0.0, 0.03), Pose(0.14, 0.0, 0.03, 0.5)
-    motion = plan_motion(field, *ends, 0.0, MotionSettings(n_iterations=500), seed)
+    grid = grid_from_shapes([block], 0.01, (-0.2, -0.15, 0.0), (0.2, 0.15, 0.09), 0.005)
+    start, goal = Pose(-0.14, 0.0, 0.03), Pose(0.14, 0.0, 0.03, 0.5)
+    motion = plan_motion(grid, start, goal, 0.0, MotionSettings(n_iterations=500), seed)
     if motion.trajectory is None:
-        raise RuntimeError(f"no motion to take the digest of: {motion.reason}")
-    planned = hashlib.sha256()
+        raise RuntimeError(f"no motion was found: {motion.reason}")
+    plan = hashlib.sha256()
     for array in (motion.trajectory.time_s, motion.trajectory.poses, motion.trajectory.velocities):
-        planned.update(array.tobytes())
+        plan.update(array.tobytes())
     execution = execute(motion.trajectory, None, motion.body, ExecutionSettings(), seed, bound=motion.tracking)
-    return {"plan": planned.hexdigest(), "execution": execution.digest()}
+    return {"plan": plan.hexdigest(), "execution": execution.digest()}
 
 
 def compare(seed: int, processes: int, progress: Progress = silent) -> dict[str, list[str]]:
-    """Digests of each kind, one for each process."""
+    """Run ``processes`` processes in sequence; return the digests of each artifact, one per process."""
     found: dict[str, list[str]] = {}
-    for number in range(processes):
-        environment = {**os.environ, "PYTHONHASHSEED": str(number + 1), "OMP_NUM_THREADS": "1"}
-        command = [sys.executable, "-m", "evidence.faults.digests", "--alone", "--seed", str(seed)]
-        said = subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True, text=True).stdout
-        for kind, digest in json.loads(said.splitlines()[-1]).items():
-            found.setdefault(kind, []).append(digest)
-        progress(number + 1, processes, "processes")
+    command = [sys.executable, "-m", "evidence.faults.digests", "--alone", "--seed", str(seed)]
+    for number in range(1, processes + 1):
+        environment = {**os.environ, "PYTHONHASHSEED": str(number), "OMP_NUM_THREADS": "1"}
+        output = subprocess.run(command, cwd=PROJECT, env=environment, check=True, capture_output=True, text=True)
+        for name, digest in json.loads(output.stdout.splitlines()[-1]).items():
+            found.setdefault(name, []).append(digest)
+        progress(number, processes, "processes")
     return found
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """``python -m evidence.faults.digests``."""
-    made = parser(__doc__)
-    made.add_argument("--processes", type=int, default=3, help="that begin anew (default 3)")
-    made.add_argument("--alone", action="store_true", help="print the digests that this process makes, as JSON")
-    options = made.parse_args(arguments)
+    """Run ``python -m evidence.faults.digests``."""
+    parser = command_parser("faults.digests", __doc__, seeded=True)
+    parser.add_argument("--processes", type=int, default=3, help="processes to compare (default 3)")
+    parser.add_argument("--alone", action="store_true", help="print the digests of this process alone, as JSON")
+    options = parser.parse_args(arguments)
     if options.alone:
-        with tempfile.TemporaryDirectory(prefix="deltasafe-faults-") as home:
-            print(json.dumps(digests_of(options.seed, pathlib.Path(home))))
+        with temporary_home() as home:
+            print(json.dumps(digests_of(options.seed, home)))
         return 0
-    del options.alone
-    found = compare(options.seed, options.processes, progress_every(1))
-    failures = [f"{kind}: {digests}" for kind, digests in found.items() if len({*digests}) != 1]
+    found = compare(options.seed, options.processes, print_progress(1))
+    failures = [f"{name}: {digests}" for name, digests in found.items() if len({*digests}) != 1]
     figures = {"digests": len(found), "digests_differing": len(failures), "digest_processes": options.processes}
-    same = {kind: digests[0] for kind, digests in found.items()}
-    return conclude("digests", figures, options, failures, sha256=same)
+    return finish(options, figures, failures, sha256={name: digests[0] for name, digests in found.items()})
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""A hundred runs one after another in one process: memory, open files and threads stay what they were.
+"""Run a hundred runs in sequence in one process: memory, open files and threads must not grow.
 
-A run materialises what is cheap of the chain, with the project's definitions, I/O manager, tracker and registry:
-labelled images, an augmented set, a calibration report, the ensemble in use, a scene, its field and a motion. Dagster
-and MLflow write to databases of their own.
+A run materializes the cheap assets of the chain with the project's definitions, I/O manager, tracker and registry.
+Dagster and MLflow write to their own databases.
 """
 
 import contextlib
@@ -13,14 +12,11 @@ import os
 import pathlib
 import statistics
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from deltasafe.progress import Progress, silent
-from evidence.faults.reporting import conclude, parser, progress_every
-
-__all__ = ["Usage", "growth", "main", "prepared_home", "soak"]
+from evidence.reporting import command_parser, finish, print_progress
 
 ASSETS = (
     "raw_hands",
@@ -32,14 +28,12 @@ ASSETS = (
     "occupancy_fields",
     "planned_motions",
 )
-MOST_GROWTH = 0.05
-SHARE = 10
-"""The first and the last tenth are compared."""
+MAX_GROWTH = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
 class Usage:
-    """Of this process: resident memory once what is free has gone back, open file descriptors, threads."""
+    """Resources of this process: resident memory, open file descriptors and threads."""
 
     rss_bytes: int
     files: int
@@ -47,9 +41,9 @@ class Usage:
 
     @classmethod
     def now(cls) -> "Usage":
-        """After a collection; what the allocator keeps for later is given back first, for it is not held by anybody."""
+        """Measure after a garbage collection, with the memory that the allocator caches returned to the system."""
         gc.collect()
-        with contextlib.suppress(OSError, AttributeError):  # glibc alone keeps what was freed
+        with contextlib.suppress(OSError, AttributeError):  # only glibc has malloc_trim
             ctypes.CDLL(None).malloc_trim(0)
         pages = int(pathlib.Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
         files, threads = (len([*pathlib.Path("/proc/self", kind).iterdir()]) for kind in ("fd", "task"))
@@ -57,36 +51,38 @@ class Usage:
 
 
 def growth(usages: Sequence[Usage]) -> tuple[float, int]:
-    """Of memory, as a fraction, and of files and threads together: medians of the last tenth against the first."""
-    count = max(1, len(usages) // SHARE)
-    first, last = usages[:count], usages[-count:]
+    """Compare medians of the last tenth of the runs with those of the first tenth.
 
-    def median(of: Sequence[Usage], name: str) -> float:
-        return statistics.median(getattr(usage, name) for usage in of)
+    Returns the relative growth of memory, and the growth of files plus threads.
+    """
+    count = max(1, len(usages) // 10)
 
-    handles = sum(median(last, name) - median(first, name) for name in ("files", "threads"))
-    return median(last, "rss_bytes") / median(first, "rss_bytes") - 1, round(handles)
+    def medians(name: str) -> tuple[float, float]:
+        values = [getattr(usage, name) for usage in usages]
+        return statistics.median(values[:count]), statistics.median(values[-count:])
+
+    (first_bytes, last_bytes), files, threads = (medians(name) for name in ("rss_bytes", "files", "threads"))
+    return last_bytes / first_bytes - 1, round(files[1] - files[0] + threads[1] - threads[0])
 
 
 @contextlib.contextmanager
 def prepared_home() -> Iterator[pathlib.Path]:
-    """A home with images, members and a frozen ensemble, none of which was trained; it goes at the end."""
+    """Create a temporary home with images, untrained members and a frozen ensemble."""
     import dagster as dg
 
-    from evidence.faults.ensemble import free_ensemble
-    from evidence.faults.sets import tiny_hands
+    from evidence.fixtures import background_ensemble, temporary_home, tiny_hands
     from pipelines.home import prepare_home
     from pipelines.io import FolderPointers
     from pipelines.tracking import MlflowTracker
 
-    with tempfile.TemporaryDirectory(prefix="deltasafe-faults-") as name:
-        os.environ["DELTASAFE_HOME"] = name
+    with temporary_home() as folder:
+        os.environ["DELTASAFE_HOME"] = str(folder)
         home = prepare_home()
         tiny_hands(home / "hands")
         tiny_hands(home / "test", "test")
-        members, frozen = free_ensemble(home / "made")
+        frozen = background_ensemble(home / "made")
         pointers = FolderPointers(home=str(home))
-        for index, member in enumerate(members):
+        for index, member in enumerate(sorted((home / "made").glob("member-*"))):
             pointers.point(dg.AssetKey("ensemble_member"), member, f"member_{index:02d}")
         pointers.point(dg.AssetKey("frozen_ensemble"), frozen)
         MlflowTracker(home).register("f" * 64, frozen)
@@ -94,7 +90,7 @@ def prepared_home() -> Iterator[pathlib.Path]:
 
 
 def soak(home: pathlib.Path, runs: int, warm_up: int, progress: Progress = silent) -> tuple[list[Usage], int]:
-    """Usage after each of the ``runs`` that follow ``warm_up`` runs, and how many assets were materialised in them.
+    """Return the usage after each of ``runs`` runs that follow ``warm_up`` runs, and their number of materializations.
 
     Raises:
         RuntimeError: a run failed.
@@ -104,21 +100,19 @@ def soak(home: pathlib.Path, runs: int, warm_up: int, progress: Progress = silen
     from pipelines.build import build_defs
 
     job = build_defs(home).resolve_implicit_global_asset_job_def()
-    usages, materialised = [], 0
+    selection, usages, materialized = [dg.AssetKey(name) for name in ASSETS], [], 0
     with dg.DagsterInstance.get() as instance:
         for number in range(warm_up + runs):
-            result = job.execute_in_process(
-                instance=instance, asset_selection=[dg.AssetKey(name) for name in ASSETS], run_config=_config(home)
-            )
+            result = job.execute_in_process(instance=instance, asset_selection=selection, run_config=_config(home))
             if not result.success:
                 raise RuntimeError(f"run {number + 1} failed")
             if number >= warm_up:
                 usages.append(Usage.now())
-                materialised += len(result.get_asset_materialization_events())
+                materialized += len(result.get_asset_materialization_events())
                 memory = f"{usages[-1].rss_bytes / 2**20:.1f} MiB"
                 progress(len(usages), runs, f"{memory}, {usages[-1].files} files, {usages[-1].threads} threads")
             del result
-    return usages, materialised
+    return usages, materialized
 
 
 def _config(home: pathlib.Path) -> dict[str, Any]:
@@ -137,25 +131,25 @@ def _config(home: pathlib.Path) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """``python -m evidence.faults.soak``."""
-    made = parser(__doc__)
-    made.add_argument("--count", type=int, default=100, help="runs that are measured (default 100)")
-    made.add_argument("--warm-up", type=int, default=20, help="runs before them (default 20)")
-    options = made.parse_args(arguments)
+    """Run ``python -m evidence.faults.soak``."""
+    parser = command_parser("faults.soak", __doc__)
+    parser.add_argument("--count", type=int, default=100, help="runs that are measured (default 100)")
+    parser.add_argument("--warm-up", type=int, default=20, help="runs before them (default 20)")
+    options = parser.parse_args(arguments)
     os.environ["DELTASAFE_PRESET"] = "smoke"
     with prepared_home() as home:
-        usages, materialised = soak(home, options.count, options.warm_up, progress_every(10))
-    grown, handles = growth(usages)
-    failures = [f"memory grew by {grown:.1%}"] if grown >= MOST_GROWTH else []
+        usages, materialized = soak(home, options.count, options.warm_up, print_progress(10))
+    memory, handles = growth(usages)
+    failures = [f"memory grew by {memory:.1%}"] if memory >= MAX_GROWTH else []
     failures += [f"{handles} more open files and threads"] if handles > 0 else []
     figures = {
         "soak_runs": len(usages),
-        "soak_materialisations": materialised,
-        "soak_growth": grown,
+        "soak_materialisations": materialized,
+        "soak_growth": memory,
         "soak_growth_mib": (usages[-1].rss_bytes - usages[0].rss_bytes) / 2**20,
         "soak_handles_growth": handles,
     }
-    return conclude("soak", figures, options, failures)
+    return finish(options, figures, failures)
 
 
 if __name__ == "__main__":

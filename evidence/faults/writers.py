@@ -1,12 +1,11 @@
-"""Everything that writes what must not be lost, small: each version bears its number, and is verified when read."""
+"""Writers of every artifact that must survive a crash. Each stores numbered versions and verifies them on reading."""
 
 import contextlib
 import dataclasses
 import functools
 import pathlib
 import shutil
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -19,71 +18,71 @@ from deltasafe.perception.calibration_report import CalibrationReport, Calibrati
 from deltasafe.perception.calibration_writing import write_calibration_report
 from deltasafe.perception.evaluation import calibrate
 from deltasafe.perception.member import Member
-from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
+from deltasafe.perception.settings import NetworkSettings, TrainingSettings
 from deltasafe.perception.training import train_member
-from deltasafe.planning import ToolBody
-from evidence.faults.ensemble import calibration_of_one, tiny_ensemble
-from evidence.faults.killing import Writer, import_beforehand, run_alone
-from evidence.faults.sets import tiny_hands, tiny_set
+from evidence.faults.children import Commit, Writer, ignore, preload_imports, run_in_child
+from evidence.fixtures import (
+    TINY_INFERENCE,
+    calibration,
+    synthetic_execution,
+    temporary_home,
+    tiny_ensemble,
+    tiny_hands,
+    tiny_set,
+)
 from pipelines.registry import EnsembleRegistry
 from pipelines.tracking import MlflowTracker
 
-__all__ = ["augmented_sets", "executions", "prepare", "prepared_writers", "writers"]
-
-Say = Callable[[int], None]
+REGISTRY_ALIAS = "registry alias"
 STEPS = 4
-"""Of the training of one member: 16 images in batches of 4."""
+"""Training steps of one member: 16 images in batches of 4."""
 
 
-def prepare(sources: pathlib.Path) -> None:
-    """Write what the writers start from: hands, a set of them, two frozen ensembles."""
+@contextlib.contextmanager
+def prepared_writers() -> Iterator[tuple[pathlib.Path, list[Writer]]]:
+    """Yield a temporary folder and all writers, with their inputs written and their imports loaded."""
+    with temporary_home() as home:
+        if failure := run_in_child(functools.partial(_write_sources, home / "sources")):
+            raise RuntimeError(failure)
+        writers = _all_writers(home / "sources")
+        for writer in writers:
+            if failure := preload_imports(functools.partial(_write_twice, writer, home / "practice" / writer.name)):
+                raise RuntimeError(f"{writer.name} cannot be written: {failure}")
+        shutil.rmtree(home / "practice")
+        yield home, writers
+
+
+def _write_sources(sources: pathlib.Path) -> None:
     tiny_set(tiny_hands(sources / "hands"), sources / "set")
     for seed in (0, 1):
         tiny_ensemble(sources / str(seed), seed)
 
 
-@contextlib.contextmanager
-def prepared_writers() -> Iterator[tuple[pathlib.Path, list[Writer]]]:
-    """All writers, and a home for what they write, which goes at the end."""
-    with tempfile.TemporaryDirectory(prefix="deltasafe-faults-") as name:
-        home = pathlib.Path(name)
-        home.chmod(0o755)
-        if said := run_alone(functools.partial(prepare, home / "sources")):
-            raise RuntimeError(said)
-        all_of_them = writers(home / "sources")
-        for writer in all_of_them:
-            if said := import_beforehand(functools.partial(_write_twice, writer, home / "beforehand" / writer.name)):
-                raise RuntimeError(f"{writer.name} cannot even be written: {said}")
-        shutil.rmtree(home / "beforehand")
-        yield home, all_of_them
-
-
 def _write_twice(writer: Writer, home: pathlib.Path) -> None:
     home.mkdir(parents=True)
     for number in (1, 1 + writer.per_run):
-        writer.write(home, number, lambda done: None)
+        writer.write(home, number, ignore)
         writer.read(home)
 
 
-def writers(sources: pathlib.Path) -> list[Writer]:
-    """All of them, from what `prepare` wrote; nothing is computed that a forked child could not do once more."""
+def _all_writers(sources: pathlib.Path) -> list[Writer]:
     frozen = [next((sources / str(seed) / "frozen").glob("ensemble-*")) for seed in (0, 1)]
     return [
-        augmented_sets(sources / "hands"),
-        _members(sources / "set"),
-        _reports(),
-        _ensembles(sources / "0" / "member"),
-        _aliases(frozen),
-        executions(),
+        augmented_set_writer(sources / "hands"),
+        _member_writer(sources / "set"),
+        _report_writer(),
+        _ensemble_writer(sources / "0" / "member-0"),
+        _alias_writer(frozen),
+        execution_writer(),
     ]
 
 
-def augmented_sets(hands: pathlib.Path) -> Writer:
-    """Of always the same hands; the seed is the number."""
+def augmented_set_writer(hands: pathlib.Path) -> Writer:
+    """Write augmented sets of the same images; the seed is the version number."""
 
-    def write(home: pathlib.Path, number: int, say: Say) -> None:
+    def write(home: pathlib.Path, number: int, commit: Commit) -> None:
         tiny_set(hands, home / "set", seed=number, n_variants=2)
-        say(number)
+        commit(number)
 
     def read(home: pathlib.Path) -> int:
         if not (home / "set").exists():
@@ -95,28 +94,23 @@ def augmented_sets(hands: pathlib.Path) -> Writer:
     return Writer("augmented set", write, read)
 
 
-def _members(data: pathlib.Path) -> Writer:
-    """Of a member, every step counts: a checkpoint follows each."""
+def _member_writer(data: pathlib.Path) -> Writer:
+    """Train members with a checkpoint after every step; every step is a version."""
     settings = TrainingSettings(
         NetworkSettings(pretrained=False, pyramid_channels=8), epochs=1, batch_size=4, checkpoint_every_steps=1
     )
 
-    def train(home: pathlib.Path, seed: int, say: Say) -> Member:
+    def train(home: pathlib.Path, seed: int, commit: Commit) -> Member:
         torch.set_num_threads(1)
-        before = seed * STEPS
+        folder, before = home / f"member-{seed}", seed * STEPS
         return train_member(
-            AugmentedSet.load(data),
-            settings,
-            seed,
-            home / f"member-{seed}",
-            "cpu",
-            lambda at: say(before + at.step - 1),
+            AugmentedSet.load(data), settings, seed, folder, "cpu", lambda at: commit(before + at.step - 1)
         )
 
-    def write(home: pathlib.Path, number: int, say: Say) -> None:
+    def write(home: pathlib.Path, number: int, commit: Commit) -> None:
         seed = (number - 1) // STEPS
-        train(home, seed, say)
-        say((seed + 1) * STEPS)
+        train(home, seed, commit)
+        commit((seed + 1) * STEPS)
 
     def read(home: pathlib.Path) -> int:
         seeds = sorted(int(path.name.rpartition("-")[2]) for path in home.glob("member-*"))
@@ -127,10 +121,10 @@ def _members(data: pathlib.Path) -> Writer:
         seed, folder = seeds[-1], home / f"member-{seeds[-1]}"
         if (folder / "member.json").is_file():
             member = Member.load(folder)
-            apart = train(home / "apart", seed, lambda step: None)
-            shutil.rmtree(home / "apart")
-            if member.record["weights_sha256"] != apart.record["weights_sha256"]:
-                raise ValueError(f"member {seed} differs from one that was never killed")
+            reference = train(home / "reference", seed, ignore)
+            shutil.rmtree(home / "reference")
+            if member.record["weights_sha256"] != reference.record["weights_sha256"]:
+                raise ValueError(f"member {seed} differs from a member that was trained without interruption")
             return seed * STEPS + len(member.losses)
         return seed * STEPS + _steps_in(folder / "checkpoint.safetensors")
 
@@ -148,19 +142,19 @@ def _steps_in(checkpoint: pathlib.Path) -> int:
         return len(file.get_tensor("losses"))
 
 
-def _reports() -> Writer:
+def _report_writer() -> Writer:
     rng = np.random.default_rng(0)
     labels = [np.where(np.arange(48 * 64).reshape(48, 64) % 64 < 20 + n, 255, 0).astype(np.uint8) for n in range(4)]
-    guesses = [
+    predictions = [
         np.clip(label / 255 * 0.8 + 0.1 + rng.normal(0, 0.05, (2, 48, 64)), 0.01, 0.99).astype(np.float32)
         for label in labels
     ]
-    made = calibrate([f"image_{n}" for n in range(4)], labels, guesses, CalibrationSettings(n_bootstrap=100))
+    made = calibrate([f"image_{n}" for n in range(4)], labels, predictions, CalibrationSettings(n_bootstrap=100))
 
-    def write(home: pathlib.Path, number: int, say: Say) -> None:
+    def write(home: pathlib.Path, number: int, commit: Commit) -> None:
         named = dataclasses.replace(made, image_ids=tuple(f"{number}_{n}" for n in range(4)))
-        write_calibration_report(home / "report", named, labels=labels, predictions=guesses)
-        say(number)
+        write_calibration_report(home / "report", named, labels=labels, predictions=predictions)
+        commit(number)
 
     def read(home: pathlib.Path) -> int:
         if not (home / "report").exists():
@@ -172,21 +166,21 @@ def _reports() -> Writer:
         if len(numbers) != 1 or len(pictures) < 3 or not all(b"IEND" in data[-12:] for data in pictures):
             raise ValueError("the report is incomplete")
         if f"{min(numbers)}_0" not in text:
-            raise ValueError("report.md is of another version than report.json")
+            raise ValueError("report.md and report.json are of different versions")
         return numbers.pop()
 
     return Writer("report", write, read)
 
 
-def _ensembles(member: pathlib.Path) -> Writer:
+def _ensemble_writer(member: pathlib.Path) -> Writer:
     golden = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 
-    def write(home: pathlib.Path, number: int, say: Say) -> None:
+    def write(home: pathlib.Path, number: int, commit: Commit) -> None:
         torch.set_num_threads(1)
         made = [Member.load(member)]
         about = {"number": str(number)}
-        freeze_ensemble(made, InferenceSettings(64, 48), calibration_of_one(), golden, home / "frozen", about)
-        say(number)
+        freeze_ensemble(made, TINY_INFERENCE, calibration(1), golden, home / "frozen", about)
+        commit(number)
 
     def read(home: pathlib.Path) -> int:
         numbers = {0: home}
@@ -201,8 +195,8 @@ def _ensembles(member: pathlib.Path) -> Writer:
     return Writer("frozen ensemble", write, read)
 
 
-def _aliases(frozen: list[pathlib.Path]) -> Writer:
-    """Two ensembles are put in use in turns; MLflow's database and the note beside it must agree."""
+def _alias_writer(frozen: list[pathlib.Path]) -> Writer:
+    """Promote two ensembles in turn; MLflow's database and the file ``champion.json`` must agree."""
 
     def registry(home: pathlib.Path) -> EnsembleRegistry:
         for folder in frozen:
@@ -210,12 +204,12 @@ def _aliases(frozen: list[pathlib.Path]) -> Writer:
                 shutil.copytree(folder, home / "frozen" / folder.name)
         return EnsembleRegistry(MlflowTracker(home))
 
-    def write(home: pathlib.Path, number: int, say: Say) -> None:
+    def write(home: pathlib.Path, number: int, commit: Commit) -> None:
         made = registry(home)
         folder = home / "frozen" / frozen[number % 2].name
         made.tracker.register(f"{number % 2}" * 64, folder)
         made.decide(folder, True, f"number {number}")
-        say(number)
+        commit(number)
 
     def read(home: pathlib.Path) -> int:
         if not (home / "champion.json").exists():
@@ -223,41 +217,25 @@ def _aliases(frozen: list[pathlib.Path]) -> Writer:
         made = registry(home)
         folder = made.champion()
         if made.tracker.pending.files() or any((home / "mlflow" / "pending" / "refused").glob("*")):
-            raise ValueError("a call could not be made again")
+            raise ValueError("a queued call could not be replayed")
         reasons = [version.tags.get("promoted", "") for version in made.versions() if "champion" in version.aliases]
         numbers = [int(reason.rpartition(" ")[2]) for reason in reasons]
         if len(numbers) > 1 or (numbers and (folder is None or folder.name != frozen[numbers[0] % 2].name)):
-            raise ValueError(f"{folder} is in use, the registry says {reasons}")
+            raise ValueError(f"the champion is {folder}, but the registry has {reasons}")
         if folder is not None:
             verify_artifact(folder)
         return numbers[0] if numbers else 0
 
-    return Writer("registry alias", write, read)
+    return Writer(REGISTRY_ALIAS, write, read)
 
 
-def executions() -> Writer:
-    """A folder, and a log of it."""
-    count = 200
+def execution_writer() -> Writer:
+    """Write an execution folder and then a log of it."""
 
-    def write(home: pathlib.Path, number: int, say: Say) -> None:
-        rng = np.random.default_rng(number)
-        made = Execution(
-            reference_poses=np.zeros((count, 4)),
-            reference_velocities=np.zeros((count, 4)),
-            time_s=np.arange(count) / 100,
-            phase=np.repeat([0, 2, 4, 4], count // 4),
-            tool_positions_m=rng.normal(size=(count, 3)),
-            tool_quaternions=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
-            joint_positions_rad=rng.normal(size=(count, 7)),
-            torques_nm=rng.normal(size=(count, 7)),
-            tool_to_hand_m=np.ones(count),
-            arm_to_hand_m=np.ones(count),
-            contacts=np.zeros(count, np.int32),
-            body=ToolBody(),
-            seed=number,
-        )
+    def write(home: pathlib.Path, number: int, commit: Commit) -> None:
+        made = synthetic_execution(200, number)
         made.save(home / "execution")
-        say(number)
+        commit(number)
         export_execution(made, home / "execution.mcap")
 
     def read(home: pathlib.Path) -> int:
@@ -266,7 +244,7 @@ def executions() -> Writer:
         found = Execution.load(home / "execution")
         log = home / "execution.mcap"
         if log.exists() and not found.seed - 2 <= import_execution(log).seed <= found.seed:
-            raise ValueError("the log is not of the execution, nor of the one before")
+            raise ValueError("the log belongs neither to the stored execution nor to one of the two before it")
         return found.seed
 
     return Writer("execution log", write, read)

@@ -1,1 +1,1 @@
-"""Malformed inputs by kind: each module makes sound inputs (a door) and many ways of spoiling them (cases)."""
+"""Malformed inputs, one module per kind: valid inputs and the corruptions of them."""

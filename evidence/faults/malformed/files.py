@@ -1,80 +1,111 @@
-"""What can be wrong with any file: it is not there, is something else, or may not be read."""
+"""Corruptions of any file: missing, of another type, truncated or unreadable. Helpers to combine corruptions."""
 
 import os
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from random import Random
 
-from evidence.faults.judging import Spoil, rewrite
+from evidence.faults.rejection import Case, Change, Corruption, InputKind, rewrite
 
-__all__ = ["at", "file_spoils", "filled", "linked_out", "unreadable"]
+NOT_A_FILE = ("missing", "a folder", "a pipe", "a broken link", "a link to itself")
+"""Names of the changes that leave no regular file."""
 
 
-def at(name: str, change: Callable[[pathlib.Path, Random], None]) -> Spoil:
-    """Change the file ``name`` of the input, or the input itself where it is a file; the culprit is that file."""
+def at(name: str, change: Change) -> Corruption:
+    """Change the file ``name`` of an input, or the input itself if it is a file; the error must name that file."""
 
-    def spoil(given: pathlib.Path, random: Random) -> str:
+    def corrupt(given: pathlib.Path, random: Random) -> str:
         path = given / name if given.is_dir() else given
         change(path, random)
         return path.name
 
-    return spoil
+    return corrupt
 
 
-def filled(data: bytes) -> Callable[[pathlib.Path, Random], None]:
-    """The file holds these bytes."""
+def blaming_folder(corruption: Corruption) -> Corruption:
+    """Require that the error names the folder of the input instead of the file."""
+
+    def corrupt(given: pathlib.Path, random: Random) -> str:
+        corruption(given, random)
+        return given.name
+
+    return corrupt
+
+
+def prefixed(
+    prefix: str, changes: Mapping[str, Change], target: Callable[[Change], Corruption]
+) -> dict[str, Corruption]:
+    """Turn named changes into corruptions of one target, with the prefix in their names."""
+    return {f"{prefix}: {name}": target(change) for name, change in changes.items()}
+
+
+def cases_of(kind: InputKind, corruptions: Mapping[str, Corruption]) -> list[Case]:
+    """Create one case per corruption."""
+    return [Case(name, kind, corruption) for name, corruption in corruptions.items()]
+
+
+def file_cases(kind: InputKind, changes: Mapping[str, Change]) -> list[Case]:
+    """Create one case per change of an input that is a single file."""
+    return cases_of(kind, {name: at("", change) for name, change in changes.items()})
+
+
+def filled(data: bytes) -> Change:
+    """Replace the content of a file."""
     return lambda path, _: rewrite(path, data)
 
 
-def file_spoils() -> dict[str, Callable[[pathlib.Path, Random], None]]:
-    """Ways of spoiling whatever file."""
+def truncated(path: pathlib.Path, random: Random) -> None:
+    """Cut a file to half of its size."""
+    rewrite(path, path.read_bytes()[: path.stat().st_size // 2])
+
+
+def file_changes() -> dict[str, Change]:
+    """Return the changes that apply to any file."""
     return {
         "missing": lambda path, _: path.unlink(),
         "empty": filled(b""),
         "zeros": filled(bytes(1000)),
-        "text": filled(b"not at all what you think\n"),
+        "text": filled(b"not the expected content\n"),
         "random bytes": lambda path, random: rewrite(path, random.randbytes(2000)),
-        "half of it": lambda path, _: rewrite(path, path.read_bytes()[: path.stat().st_size // 2]),
-        "a folder": _folder,
-        "a pipe": _pipe,
-        "a link to nowhere": _nowhere,
-        "a link to itself": _loop,
-        "may not be read": unreadable,
+        "truncated": truncated,
+        "a folder": _replaced(pathlib.Path.mkdir),
+        "a pipe": _replaced(os.mkfifo),
+        "a broken link": _replaced(lambda path: path.symlink_to("nowhere")),
+        "a link to itself": _replaced(lambda path: path.symlink_to(path.name)),
+        "unreadable": _unreadable,
     }
 
 
-def linked_out(name: str) -> Spoil:
-    """The file ``name`` lies outside of the folder, which holds a link to it."""
+def edited(culprit: str, action: Callable[[pathlib.Path], object]) -> Corruption:
+    """Apply an action to the path of the input; the error must name ``culprit``, or the input itself if empty."""
 
-    def spoil(given: pathlib.Path, random: Random) -> str:
-        outside = (given / name).rename(given.parent / f"outside-{name}")
-        (given / name).symlink_to(outside)
-        return name
+    def corrupt(given: pathlib.Path, random: Random) -> str:
+        action(given)
+        return culprit or given.name
 
-    return spoil
+    return corrupt
 
 
-def unreadable(path: pathlib.Path, random: Random) -> None:
-    """Permissions that forbid reading."""
+def with_text(name: str) -> Corruption:
+    """Add a text file that does not belong to the input."""
+    return edited(pathlib.PurePath(name).name, lambda given: (given / name).write_text("x"))
+
+
+def linked_outside(name: str) -> Corruption:
+    """Move the file ``name`` out of the folder and leave a link to it."""
+    return edited(
+        name, lambda given: (given / name).symlink_to((given / name).rename(given.parent / f"outside-{name}"))
+    )
+
+
+def _unreadable(path: pathlib.Path, random: Random) -> None:
     rewrite(path, path.read_bytes())
     path.chmod(0)
 
 
-def _folder(path: pathlib.Path, random: Random) -> None:
-    path.unlink()
-    path.mkdir()
+def _replaced(create: Callable[[pathlib.Path], object]) -> Change:
+    def change(path: pathlib.Path, random: Random) -> None:
+        path.unlink()
+        create(path)
 
-
-def _pipe(path: pathlib.Path, random: Random) -> None:
-    path.unlink()
-    os.mkfifo(path)
-
-
-def _nowhere(path: pathlib.Path, random: Random) -> None:
-    path.unlink()
-    path.symlink_to("nowhere")
-
-
-def _loop(path: pathlib.Path, random: Random) -> None:
-    path.unlink()
-    path.symlink_to(path.name)
+    return change

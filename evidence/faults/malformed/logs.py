@@ -1,4 +1,4 @@
-"""MCAP logs of scenes: cut short, bent, without what a scene needs, or saying what cannot be."""
+"""Corruptions of MCAP logs of scenes: truncated, with flipped bits, incomplete, or with invalid values."""
 
 import base64
 import copy
@@ -10,14 +10,10 @@ from typing import Any
 from deltasafe.interchange import export_scene, import_scene
 from deltasafe.interchange.log import LogWriter, read_log
 from deltasafe.interchange.scenes import CALIBRATION, FACTS, GOAL, IMAGE, MASK, MESH, START, TRANSFORM
-from deltasafe.interchange.schemas import SCHEMAS
 from deltasafe.scene import LoggedScene
-from evidence.faults.judging import Case, Door, rewrite
-from evidence.faults.malformed.files import at, file_spoils
+from evidence.faults.malformed.files import file_cases, file_changes, filled
+from evidence.faults.rejection import Case, Change, InputKind, rewrite
 
-__all__ = ["log_cases"]
-
-Change = Callable[[pathlib.Path, Random], None]
 SCHEMA = {
     IMAGE: "foxglove.CompressedImage",
     CALIBRATION: "foxglove.CameraCalibration",
@@ -25,51 +21,66 @@ SCHEMA = {
     START: "foxglove.PoseInFrame",
     GOAL: "foxglove.PoseInFrame",
 }
+FACT_VALUES: tuple[tuple[str, list[Any]], ...] = (
+    ("id", ["../../escaped", "/etc/escaped", 7]),
+    ("table_z_m", ["low", 600.0]),
+    ("hand_height_m", [-1.0, None]),
+    ("camera_rotation", [[[1.0, 0, 0]], "level", [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]]),
+)
+MESSAGE_VALUES: tuple[tuple[str, str, list[Any]], ...] = (
+    (IMAGE, "format", ["webp", None]),
+    (IMAGE, "data", ["no base64!", 5]),
+    (CALIBRATION, "K", [[], [0.0] * 9, "matrix", [1.0, None]]),
+    (CALIBRATION, "D", [[0.1, 0.0, 0.0, 0.0, 0.0], None]),
+    (CALIBRATION, "width", [0, "640"]),
+    (CALIBRATION, "height", [-1]),
+    (TRANSFORM, "rotation", [{"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}, {"x": 1.0}, []]),
+    (TRANSFORM, "translation", [{"x": 0.0, "y": 0.0, "z": -1.0}, {"x": 0.0, "y": 0.0, "z": "high"}, None]),
+    (START, "pose", [None, {"position": {"x": 0.0}}]),
+    (GOAL, "pose", ["there", []]),
+)
+
+Messages = dict[str, dict[str, Any]]
+Edit = Callable[[Messages, Messages, dict[str, bytes]], Any]
+"""Edits the messages, facts and attachments of a log."""
 
 
 def log_cases(home: pathlib.Path, scene: pathlib.Path) -> list[Case]:
-    """A log for `import_scene` and ``deltasafe import``."""
-    sound = home / "scene.mcap"
-    export_scene(LoggedScene.load(scene), sound)
-
-    def read(given: pathlib.Path, out: pathlib.Path) -> None:
-        import_scene(given, out / "scene")
-
-    door = Door("log", sound, read, lambda given, out: ["import", str(given), str(out / "scene")])
-    data = sound.read_bytes()
-    spoils = dict(file_spoils())
-    for share in (0.001, 0.01, 0.2, 0.7, 0.95, 0.999):
-        spoils[f"cut at {share:g}"] = _holding(data[: int(share * len(data))])
-    for n in range(8):  # inside of the first chunk, which its checksum covers
-        spoils[f"a byte changed, {n}"] = _bent
-    for name, change in _contents().items():
-        spoils[name] = _said(change)
-    return [Case(name, door, at("", change)) for name, change in spoils.items()]
-
-
-def _holding(data: bytes) -> Change:
-    return lambda path, _: rewrite(path, data)
+    """A log of a scene, as `import_scene` and ``deltasafe import`` read it."""
+    valid = home / "scene.mcap"
+    export_scene(LoggedScene.load(scene), valid)
+    kind = InputKind(
+        "log",
+        valid,
+        lambda given, out: import_scene(given, out / "scene"),
+        lambda given, out: ["import", str(given), str(out / "scene")],
+    )
+    data = valid.read_bytes()
+    changes = dict(file_changes())
+    for fraction in (0.001, 0.01, 0.2, 0.7, 0.95, 0.999):
+        changes[f"truncated at {fraction:g}"] = filled(data[: int(fraction * len(data))])
+    for n in range(8):
+        changes[f"a flipped bit, {n}"] = _bit_flipped
+    for name, edit in _edits().items():
+        changes[name] = _edited(edit)
+    return file_cases(kind, changes)
 
 
-def _bent(path: pathlib.Path, random: Random) -> None:
+def _bit_flipped(path: pathlib.Path, random: Random) -> None:
+    """Flip one bit of the first chunk, which a checksum covers."""
     data = bytearray(path.read_bytes())
-    place = random.randrange(300, len(data) // 3)
-    data[place] ^= 1 << random.randrange(8)
+    data[random.randrange(300, len(data) // 3)] ^= 1 << random.randrange(8)
     rewrite(path, bytes(data))
 
 
-Said = dict[str, dict[str, Any]]
-Telling = Callable[[Said, Said, dict[str, bytes]], Any]
+def _edited(edit: Edit) -> Change:
+    """Write the log again with edited messages, facts or attachments."""
 
-
-def _said(change: Telling) -> Change:
-    """The log written again, with other messages, facts or attachments."""
-
-    def spoil(path: pathlib.Path, random: Random) -> None:
+    def change(path: pathlib.Path, random: Random) -> None:
         whole = read_log(path)
         messages = {topic: copy.deepcopy(whole.messages[topic][0]) for topic in SCHEMA}
         facts, attachments = copy.deepcopy(whole.facts), dict(whole.attachments)
-        change(messages, facts, attachments)
+        edit(messages, facts, attachments)
         path.unlink()
         with LogWriter(path) as log:
             for topic, message in messages.items():
@@ -79,83 +90,45 @@ def _said(change: Telling) -> Change:
             for name, data in attachments.items():
                 log.attach(name, "application/octet-stream", data)
 
-    assert set(SCHEMA.values()) <= set(SCHEMAS)
-    return spoil
+    return change
 
 
-def _without_message(topic: str) -> Telling:
-    return lambda said, facts, files: said.pop(topic)
+def _without_message(topic: str) -> Edit:
+    return lambda messages, facts, files: messages.pop(topic)
 
 
-def _without_fact(name: str) -> Telling:
-    return lambda said, facts, files: facts[FACTS].pop(name)
+def _without_fact(name: str) -> Edit:
+    return lambda messages, facts, files: facts[FACTS].pop(name)
 
 
-def _without_file(name: str) -> Telling:
-    return lambda said, facts, files: files.pop(name)
+def _without_file(name: str) -> Edit:
+    return lambda messages, facts, files: files.pop(name)
 
 
-def _fact(name: str, value: Any) -> Telling:
-    return lambda said, facts, files: facts[FACTS].update({name: value})
+def _with_fact(name: str, value: Any) -> Edit:
+    return lambda messages, facts, files: facts[FACTS].update({name: value})
 
 
-def _message(topic: str, key: str, value: Any) -> Telling:
-    return lambda said, facts, files: said[topic].update({key: value})
+def _with_message(topic: str, key: str, value: Any) -> Edit:
+    return lambda messages, facts, files: messages[topic].update({key: value})
 
 
-def _contents() -> dict[str, Telling]:
-    spoils: dict[str, Telling] = {}
-    for topic in SCHEMA:
-        spoils[f"without {topic}"] = _without_message(topic)
-    for name in ("id", "table_z_m", "hand_height_m"):
-        spoils[f"without the fact {name}"] = _without_fact(name)
-    for name in (MASK, MESH):
-        spoils[f"without {name}"] = _without_file(name)
-    spoils["without facts"] = lambda said, facts, files: facts.clear()
-    spoils["a mesh that is none"] = lambda said, facts, files: files.update({MESH: b"PK\x03\x04nothing"})
-    facts_wrong: list[tuple[str, Any]] = [
-        ("id", "../../escaped"),
-        ("id", "/etc/escaped"),
-        ("id", 7),
-        ("table_z_m", "low"),
-        ("table_z_m", 600.0),
-        ("hand_height_m", -1.0),
-        ("hand_height_m", None),
-        ("camera_rotation", [[1.0, 0, 0]]),
-        ("camera_rotation", "level"),
-        ("camera_rotation", [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]),
-    ]
-    for name, value in facts_wrong:
-        spoils[f"the fact {name} is {value!r}"] = _fact(name, value)
-    wrong: list[tuple[str, str, Any]] = [
-        (IMAGE, "format", "webp"),
-        (IMAGE, "format", None),
-        (IMAGE, "data", "no base64!"),
-        (IMAGE, "data", 5),
-        (CALIBRATION, "K", []),
-        (CALIBRATION, "K", [0.0] * 9),
-        (CALIBRATION, "K", "matrix"),
-        (CALIBRATION, "K", [1.0, None]),
-        (CALIBRATION, "D", [0.1, 0.0, 0.0, 0.0, 0.0]),
-        (CALIBRATION, "D", None),
-        (CALIBRATION, "width", 0),
-        (CALIBRATION, "width", "640"),
-        (CALIBRATION, "height", -1),
-        (TRANSFORM, "rotation", {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}),
-        (TRANSFORM, "rotation", {"x": 1.0}),
-        (TRANSFORM, "rotation", []),
-        (TRANSFORM, "translation", {"x": 0.0, "y": 0.0, "z": -1.0}),
-        (TRANSFORM, "translation", {"x": 0.0, "y": 0.0, "z": "high"}),
-        (TRANSFORM, "translation", None),
-        (START, "pose", None),
-        (START, "pose", {"position": {"x": 0.0}}),
-        (GOAL, "pose", "there"),
-        (GOAL, "pose", []),
-    ]
-    for topic, key, value in wrong:
-        spoils[f"{topic}.{key} is {value!r:.50}"] = _message(topic, key, value)
-    spoils["start in millimetres"] = lambda said, facts, files: said[START]["pose"]["position"].update(x=-150.0)
-    spoils["image that is no base64 at its end"] = lambda said, facts, files: said[IMAGE].update(
-        data=base64.b64encode(b"jpeg").decode() + "?"
-    )
-    return spoils
+def _edits() -> dict[str, Edit]:
+    no_base64 = base64.b64encode(b"jpeg").decode() + "?"
+    return {
+        **{f"without {topic}": _without_message(topic) for topic in SCHEMA},
+        **{f"without the fact {name}": _without_fact(name) for name in ("id", "table_z_m", "hand_height_m")},
+        **{f"without {name}": _without_file(name) for name in (MASK, MESH)},
+        "without facts": lambda messages, facts, files: facts.clear(),
+        "a mesh that is not a zip": lambda messages, facts, files: files.update({MESH: b"PK\x03\x04nothing"}),
+        **{
+            f"the fact {name} is {value!r}": _with_fact(name, value) for name, values in FACT_VALUES for value in values
+        },
+        **{
+            f"{topic}.{key} is {value!r:.50}": _with_message(topic, key, value)
+            for topic, key, values in MESSAGE_VALUES
+            for value in values
+        },
+        "start in millimeters": lambda messages, facts, files: messages[START]["pose"]["position"].update(x=-150.0),
+        "image with invalid base64 at its end": _with_message(IMAGE, "data", no_base64),
+    }

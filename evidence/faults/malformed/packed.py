@@ -1,45 +1,43 @@
-"""Arrays in ``.npz`` files: damaged, pickled, and claiming to be larger than any memory."""
+"""Corruptions of ``.npz`` files: damaged, pickled, encrypted, or claiming more memory than any machine has."""
 
 import io
 import pathlib
 import struct
 import zipfile
-from collections.abc import Callable
 from random import Random
 from typing import Any
 
 import numpy as np
 
-from evidence.faults.judging import rewrite
-from evidence.faults.malformed.files import file_spoils
+from evidence.faults.malformed.files import file_changes
+from evidence.faults.rejection import Change, rewrite
 
-__all__ = ["array_spoils", "with_array"]
-
-Change = Callable[[pathlib.Path, Random], None]
+DIRECTORY_ENTRY = b"PK\x01\x02"
 
 
-def array_spoils(sound: pathlib.Path) -> dict[str, Change]:
-    """Ways of spoiling an ``.npz`` file of which every array is needed."""
-    with np.load(sound) as arrays:
+def array_changes(valid: pathlib.Path) -> dict[str, Change]:
+    """Return the changes that apply to an ``.npz`` file of which every array is required."""
+    with np.load(valid) as arrays:
         names = list(arrays)
-    spoils = dict(file_spoils())
+    changes = dict(file_changes())
     for name in names:
-        spoils[f"without {name}"] = with_array(name, None)
-        spoils[f"{name} pickled"] = with_array(name, np.array([{"a": 1}], dtype=object))
-        spoils[f"{name} is text"] = with_array(name, np.array(["ten"]))
-    first = names[0]
-    spoils[f"{first} claims to be of 10^12 rows"] = _claiming(first, f"({10**12}, 3)")
-    spoils[f"{first} has a header that is no header"] = _claiming(first, "__import__('os')")
-    spoils["claims to unpack to 4 GB"] = _patched(b"PK\x01\x02", 24, struct.pack("<I", 2**32 - 2))
-    spoils["encrypted"] = _patched(b"PK\x01\x02", 8, struct.pack("<H", 1))
-    spoils["packed in an unknown way"] = _patched(b"PK\x01\x02", 10, struct.pack("<H", 77))
-    spoils["a byte of its data changed"] = _flipped
-    spoils["a zip of something else"] = lambda path, _: rewrite(path, _zipped({"readme.txt": b"hello"}))
-    return spoils
+        changes[f"without {name}"] = with_array(name, None)
+        changes[f"{name} pickled"] = with_array(name, np.array([{"a": 1}], dtype=object))
+        changes[f"{name} is text"] = with_array(name, np.array(["ten"]))
+    return {
+        **changes,
+        f"{names[0]} claims 10^12 rows": _with_header(names[0], f"({10**12}, 3)"),
+        f"{names[0]} has an invalid header": _with_header(names[0], "__import__('os')"),
+        "claims to unpack to 4 GB": _with_entries(24, struct.pack("<I", 2**32 - 2)),
+        "encrypted": _with_entries(8, struct.pack("<H", 1)),
+        "unknown compression": _with_entries(10, struct.pack("<H", 77)),
+        "a bit of its data flipped": _bit_flipped,
+        "a zip of another file": lambda path, _: rewrite(path, _zipped({"readme.txt": b"hello"})),
+    }
 
 
 def with_array(name: str, value: np.ndarray | None) -> Change:
-    """The file with another array, or without it."""
+    """Replace one array of the file, or remove it."""
 
     def change(path: pathlib.Path, random: Random) -> None:
         with np.load(path) as stored:
@@ -54,10 +52,10 @@ def with_array(name: str, value: np.ndarray | None) -> Change:
     return change
 
 
-def _claiming(name: str, shape: str) -> Change:
+def _with_header(name: str, shape: str) -> Change:
     def change(path: pathlib.Path, random: Random) -> None:
-        with zipfile.ZipFile(path) as parts:
-            stored = {part: parts.read(part) for part in parts.namelist()}
+        with zipfile.ZipFile(path) as entries:
+            stored = {entry: entries.read(entry) for entry in entries.namelist()}
         header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}"
         header += " " * (-(len(header) + 11) % 64) + "\n"
         stored[f"{name}.npy"] = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + bytes(100)
@@ -66,33 +64,33 @@ def _claiming(name: str, shape: str) -> Change:
     return change
 
 
-def _zipped(parts: dict[str, bytes]) -> bytes:
+def _zipped(entries: dict[str, bytes]) -> bytes:
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as written:
-        for name, data in parts.items():
-            written.writestr(name, data)
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in entries.items():
+            archive.writestr(name, data)
     return stream.getvalue()
 
 
-def _patched(signature: bytes, offset: int, value: bytes) -> Change:
-    """Every entry of the directory of a zip says otherwise."""
+def _with_entries(offset: int, value: bytes) -> Change:
+    """Overwrite a field of every entry of the zip's central directory."""
 
     def change(path: pathlib.Path, random: Random) -> None:
         data = bytearray(path.read_bytes())
-        place = data.find(signature)
-        while place >= 0:
-            data[place + offset : place + offset + len(value)] = value
-            place = data.find(signature, place + 4)
+        position = data.find(DIRECTORY_ENTRY)
+        while position >= 0:
+            data[position + offset : position + offset + len(value)] = value
+            position = data.find(DIRECTORY_ENTRY, position + 4)
         rewrite(path, bytes(data))
 
     return change
 
 
-def _flipped(path: pathlib.Path, random: Random) -> None:
-    with zipfile.ZipFile(path) as parts:
-        largest = max(parts.infolist(), key=lambda part: part.compress_size)
+def _bit_flipped(path: pathlib.Path, random: Random) -> None:
+    with zipfile.ZipFile(path) as entries:
+        largest = max(entries.infolist(), key=lambda entry: entry.compress_size)
     data = bytearray(path.read_bytes())
-    names = struct.unpack_from("<HH", data, largest.header_offset + 26)
-    place = largest.header_offset + 30 + sum(names) + random.randrange(largest.compress_size)
-    data[place] ^= 1 << random.randrange(8)
+    name_sizes = struct.unpack_from("<HH", data, largest.header_offset + 26)
+    position = largest.header_offset + 30 + sum(name_sizes) + random.randrange(largest.compress_size)
+    data[position] ^= 1 << random.randrange(8)
     rewrite(path, bytes(data))

@@ -1,214 +1,181 @@
-"""Images and masks, in hand sets and alone: cut short, bombs, turned, in other forms, of other values."""
+"""Corruptions of images and masks, in hand sets and alone: truncated, oversized, rotated, wrong modes and values."""
 
 import io
 import pathlib
 import shutil
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from random import Random
 
 import numpy as np
 from PIL import Image
 
 from deltasafe.perception.hands import HandSet, read_rgb
-from evidence.faults.judging import Case, Door, Spoil, rewrite
-from evidence.faults.malformed.files import at, file_spoils, filled
-
-__all__ = ["hand_cases", "picture_cases"]
+from evidence.faults.malformed.files import (
+    at,
+    cases_of,
+    edited,
+    file_cases,
+    file_changes,
+    filled,
+    prefixed,
+    with_text,
+)
+from evidence.faults.rejection import Case, Change, Corruption, InputKind, rewrite
+from pipelines.home import DATASETS
 
 EXIF_ORIENTATION = 0x0112
 NAMES = ("hand_a", "hand_b", "hand_c")
-Change = Callable[[pathlib.Path, Random], None]
+TRAIN = DATASETS / "hands" / "train"
 
 
-def picture_cases(home: pathlib.Path, datasets: pathlib.Path, ensemble: pathlib.Path) -> list[Case]:
-    """A picture for ``deltasafe predict``."""
-    sound = home / "picture.jpg"
-    shutil.copyfile(_first(datasets / "hands" / "train" / "images"), sound)
-
-    def read(given: pathlib.Path, out: pathlib.Path) -> None:
-        read_rgb(given)
+def picture_cases(home: pathlib.Path, ensemble: pathlib.Path) -> list[Case]:
+    """A single image, as ``deltasafe predict`` reads it."""
+    valid = home / "picture.jpg"
+    shutil.copyfile(min((TRAIN / "images").iterdir()), valid)
 
     def command(given: pathlib.Path, out: pathlib.Path) -> list[str]:
         return ["predict", str(ensemble), str(given), "-o", str(out / "answer.png")]
 
-    door = Door("picture", sound, read, command)
-    return [Case(name, door, at("", change)) for name, change in {**file_spoils(), **_images(sound)}.items()]
+    kind = InputKind("picture", valid, lambda given, out: read_rgb(given), command)
+    return file_cases(kind, {**file_changes(), **_image_changes(valid)})
 
 
-def hand_cases(home: pathlib.Path, datasets: pathlib.Path) -> list[Case]:
-    """A set of three hands and their masks."""
-    train, sound = datasets / "hands" / "train", home / "hands"
-    stems = sorted(path.stem for path in (train / "images").iterdir())[: len(NAMES)]
-    for kind in ("images", "masks"):
-        (sound / kind).mkdir(parents=True)
-        for stem, name in zip(stems, NAMES, strict=True):
-            source = next((train / kind).glob(f"{stem}.*"))
-            shutil.copyfile(source, sound / kind / f"{name}{source.suffix}")
-
-    def read(given: pathlib.Path, out: pathlib.Path) -> None:
-        HandSet.load(given)
-
-    door = Door("hands", sound, read)
-    image = _first(sound / "images")
-    mask = _first(sound / "masks")
-    spoils: dict[str, Spoil] = {}
-    for name, change in {**file_spoils(), **_images(image)}.items():
-        spoils[f"image: {name}"] = at(f"images/{image.name}", change)
-    for name, change in {**file_spoils(), **dict(_masks(mask))}.items():
-        spoils[f"mask: {name}"] = at(f"masks/{mask.name}", change)
-    for kind, name in (("image", f"images/{image.name}"), ("mask", f"masks/{mask.name}")):
-        spoils[f"{kind}: missing"] = _without(name)
-    return [Case(name, door, spoil) for name, spoil in {**spoils, **_sets(image.name, mask.name)}.items()]
+def hand_cases(home: pathlib.Path) -> list[Case]:
+    """A set of three images with masks."""
+    valid = home / "hands"
+    for folder in ("images", "masks"):
+        (valid / folder).mkdir(parents=True)
+        for source, name in zip(sorted((TRAIN / folder).iterdir()), NAMES, strict=False):
+            shutil.copyfile(source, valid / folder / f"{name}{source.suffix}")
+    image, mask = (min((valid / folder).iterdir()) for folder in ("images", "masks"))
+    kind = InputKind("hands", valid, lambda given, out: HandSet.load(given))
+    image_changes = {**file_changes(), **_image_changes(image)}
+    mask_changes = {**file_changes(), **dict(_mask_changes(mask))}
+    return cases_of(
+        kind,
+        {
+            **prefixed("image", image_changes, lambda change: at(f"images/{image.name}", change)),
+            **prefixed("mask", mask_changes, lambda change: at(f"masks/{mask.name}", change)),
+            **_set_corruptions(image.name, mask.name),
+        },
+    )
 
 
-def _without(name: str) -> Spoil:
-    """The message is about the file that is left."""
-
-    def spoil(given: pathlib.Path, random: Random) -> str:
-        (given / name).unlink()
-        return pathlib.PurePath(name).stem
-
-    return spoil
-
-
-def _images(sound: pathlib.Path) -> dict[str, Change]:
-    data = sound.read_bytes()
-    with Image.open(io.BytesIO(data)) as opened:
+def _image_changes(valid: pathlib.Path) -> dict[str, Change]:
+    with Image.open(valid) as opened:
         picture = opened.convert("RGB")
-    png, jpeg = _stored(picture, "PNG"), _stored(picture, "JPEG")
-    spoils = {
-        f"{form} cut at {share:g}": _cut(whole, share)
+    png, jpeg = _encoded(picture, "PNG"), _encoded(picture, "JPEG")
+    changes = {
+        f"{form} truncated at {fraction:g}": _truncated(whole, fraction)
         for form, whole in (("png", png), ("jpeg", jpeg))
-        for share in (0.01, 0.1, 0.3, 0.6, 0.9, 0.99)
+        for fraction in (0.01, 0.1, 0.3, 0.6, 0.9, 0.99)
     }
     for width, height in ((2**31 - 1, 2**31 - 1), (100_000, 100_000), (0, 100), (30_000, 30_000)):
-        spoils[f"png claims {width} x {height}"] = filled(_png_of_size(png, width, height))
+        changes[f"png claims {width} x {height}"] = filled(_png_of_size(png, width, height))
     for width, height in ((65_535, 65_535), (65_500, 20_000), (0, 100), (30_000, 30_000)):
-        spoils[f"jpeg claims {width} x {height}"] = filled(_jpeg_of_size(jpeg, width, height))
-    spoils["png that unpacks to 400 million pixels"] = filled(_stored(Image.new("1", (20_000, 20_000)), "PNG"))
+        changes[f"jpeg claims {width} x {height}"] = filled(_jpeg_of_size(jpeg, width, height))
+    changes["png that unpacks to 400 million pixels"] = filled(_encoded(Image.new("1", (20_000, 20_000)), "PNG"))
     for orientation in range(2, 9):
-        spoils[f"exif orientation {orientation}"] = filled(_turned(picture, "JPEG", orientation))
-    spoils["exif orientation in a png"] = filled(_turned(picture, "PNG", 6))
+        changes[f"exif orientation {orientation}"] = filled(_rotated(picture, "JPEG", orientation))
+    changes["exif orientation in a png"] = filled(_rotated(picture, "PNG", 6))
     deep = np.asarray(picture.convert("L"), np.uint16) * 257
-    spoils["png of 16 bits"] = filled(_stored(Image.fromarray(deep), "PNG"))
+    changes["png with 16 bits"] = filled(_encoded(Image.fromarray(deep), "PNG"))
     for mode in ("L", "RGBA", "LA"):
-        spoils[f"png of mode {mode}"] = filled(_stored(picture.convert(mode), "PNG"))
+        changes[f"png with mode {mode}"] = filled(_encoded(picture.convert(mode), "PNG"))
     for mode in ("L", "CMYK"):
-        spoils[f"jpeg of mode {mode}"] = filled(_stored(picture.convert(mode), "JPEG"))
-    spoils["tiff of floats"] = filled(_stored(picture.convert("F"), "TIFF"))
-    spoils["palette with a transparent colour"] = filled(_stored(picture.quantize(16), "PNG", transparency=0))
+        changes[f"jpeg with mode {mode}"] = filled(_encoded(picture.convert(mode), "JPEG"))
+    changes["tiff with floats"] = filled(_encoded(picture.convert("F"), "TIFF"))
+    changes["palette with a transparent color"] = filled(_encoded(picture.quantize(16), "PNG", transparency=0))
     for n in range(5):
-        spoils[f"png with damaged data, {n}"] = _damaged(png)
-    spoils["jpeg without its tables"] = filled(jpeg[:2] + jpeg[jpeg.index(b"\xff\xda") :])
-    return spoils
+        changes[f"png with a flipped bit, {n}"] = _bit_flipped(png)
+    changes["jpeg without its tables"] = filled(jpeg[:2] + jpeg[jpeg.index(b"\xff\xda") :])
+    return changes
 
 
-def _masks(sound: pathlib.Path) -> Iterator[tuple[str, Change]]:
-    with Image.open(sound) as opened:
+def _mask_changes(valid: pathlib.Path) -> Iterator[tuple[str, Change]]:
+    with Image.open(valid) as opened:
         mask = np.array(opened.convert("L"))
     height, width = mask.shape
-    png = _stored(Image.fromarray(mask), "PNG")
-    for share in (0.1, 0.5, 0.9):
-        yield f"cut at {share:g}", _cut(png, share)
+    png = _encoded(Image.fromarray(mask), "PNG")
+    for fraction in (0.1, 0.5, 0.9):
+        yield f"truncated at {fraction:g}", _truncated(png, fraction)
     for size in ((width + 1, height), (width, height - 1), (height, width), (1, 1), (2 * width, 2 * height)):
-        yield f"of size {size}", filled(_stored(Image.fromarray(mask).resize(size, 0), "PNG"))
+        yield f"with size {size}", filled(_encoded(Image.fromarray(mask).resize(size, 0), "PNG"))
     for value in (1, 2, 100, 127, 128, 200, 254):
-        yield f"one pixel of value {value}", filled(_stored(Image.fromarray(_with(mask, value)), "PNG"))
-    yield "of 0 and 1", filled(_stored(Image.fromarray(mask // 255), "PNG"))
-    yield "without a hand", filled(_stored(Image.fromarray(np.zeros_like(mask)), "PNG"))
-    yield "of 16 bits", filled(_stored(Image.fromarray(mask.astype(np.uint16) * 257), "PNG"))
-    yield "of floats", filled(_stored(Image.fromarray(mask).convert("F"), "TIFF"))
+        yield f"one pixel with value {value}", filled(_encoded(Image.fromarray(_with_pixel(mask, value)), "PNG"))
+    yield "with values 0 and 1", filled(_encoded(Image.fromarray(mask // 255), "PNG"))
+    yield "without a hand", filled(_encoded(Image.fromarray(np.zeros_like(mask)), "PNG"))
+    yield "with 16 bits", filled(_encoded(Image.fromarray(mask.astype(np.uint16) * 257), "PNG"))
+    yield "with floats", filled(_encoded(Image.fromarray(mask).convert("F"), "TIFF"))
     for mode in ("RGB", "RGBA", "LA"):
-        yield f"of mode {mode}", filled(_stored(Image.fromarray(mask).convert(mode), "PNG"))
-    coloured = Image.fromarray(mask).convert("RGB").quantize(4)
-    yield "with a palette", filled(_stored(coloured, "PNG"))
+        yield f"with mode {mode}", filled(_encoded(Image.fromarray(mask).convert(mode), "PNG"))
+    colored = Image.fromarray(mask).convert("RGB").quantize(4)
+    yield "with a palette", filled(_encoded(colored, "PNG"))
     noisy = np.clip(mask.astype(int) + np.random.default_rng(0).integers(-9, 9, mask.shape), 0, 255)
-    yield "with noise", filled(_stored(Image.fromarray(noisy.astype(np.uint8)), "PNG"))
-    yield "turned by exif", filled(_turned(Image.fromarray(mask), "PNG", 3))
+    yield "with noise", filled(_encoded(Image.fromarray(noisy.astype(np.uint8)), "PNG"))
+    yield "rotated by exif", filled(_rotated(Image.fromarray(mask), "PNG", 3))
     for n in range(3):
-        yield f"with damaged data, {n}", _damaged(png)
+        yield f"with a flipped bit, {n}", _bit_flipped(png)
 
 
-def _sets(image: str, mask: str) -> dict[str, Spoil]:
-    def renamed(kind: str, name: str) -> Spoil:
-        def spoil(given: pathlib.Path, random: Random) -> str:
-            path = given / kind / name
-            path.rename(path.with_name(f"other{path.suffix}"))
-            return path.stem
+def _set_corruptions(image: str, mask: str) -> dict[str, Corruption]:
+    stem = pathlib.PurePath(image).stem
 
-        return spoil
-
-    def without(kind: str) -> Spoil:
-        def spoil(given: pathlib.Path, random: Random) -> str:
-            shutil.rmtree(given / kind)
-            return kind
-
-        return spoil
-
-    def emptied(given: pathlib.Path, random: Random) -> str:
+    def emptied(given: pathlib.Path) -> None:
         for path in [*given.glob("*/*")]:
             path.unlink()
-        return given.name
 
-    def with_stray(kind: str, name: str) -> Spoil:
-        def spoil(given: pathlib.Path, random: Random) -> str:
-            (given / kind / name).write_text("x")
-            return name
+    def folders_added(given: pathlib.Path) -> None:
+        for folder in ("images", "masks"):
+            (given / folder / "more.png").mkdir()
 
-        return spoil
-
-    def with_folder(given: pathlib.Path, random: Random) -> str:
-        (given / "images" / "more.png").mkdir()
-        (given / "masks" / "more.png").mkdir()
-        return "more.png"
-
-    def same_stem(given: pathlib.Path, random: Random) -> str:
-        shutil.copyfile(given / "images" / image, given / "images" / f"{pathlib.PurePath(image).stem}.JPEG")
-        return pathlib.PurePath(image).stem
-
-    def a_file(given: pathlib.Path, random: Random) -> str:
+    def replaced_by_file(given: pathlib.Path) -> None:
         shutil.rmtree(given)
         given.write_text("hands")
-        return given.name
 
     return {
-        "image of another stem": renamed("images", image),
-        "mask of another stem": renamed("masks", mask),
-        "no masks": without("masks"),
-        "no images": without("images"),
-        "nothing in it": emptied,
-        "a text among the images": with_stray("images", "notes.txt"),
-        "a text among the masks": with_stray("masks", "notes.md"),
-        "a program among the images": with_stray("images", "image.py"),
-        "folders among the images": with_folder,
-        "two images of one stem": same_stem,
-        "no folder at all": a_file,
+        # the message names the stem, because the other file of the pair is left
+        "image: missing": edited(stem, lambda given: (given / "images" / image).unlink()),
+        "mask: missing": edited(stem, lambda given: (given / "masks" / mask).unlink()),
+        "image with another stem": edited(stem, lambda given: _rename(given / "images" / image)),
+        "mask with another stem": edited(stem, lambda given: _rename(given / "masks" / mask)),
+        "no masks": edited("masks", lambda given: shutil.rmtree(given / "masks")),
+        "no images": edited("images", lambda given: shutil.rmtree(given / "images")),
+        "empty folders": edited("", emptied),
+        "a text file among the images": with_text("images/notes.txt"),
+        "a text file among the masks": with_text("masks/notes.md"),
+        "a program among the images": with_text("images/image.py"),
+        "folders named like images": edited("more.png", folders_added),
+        "two images with one stem": edited(
+            stem, lambda given: shutil.copyfile(given / "images" / image, given / "images" / f"{stem}.JPEG")
+        ),
+        "a file instead of the folder": edited("", replaced_by_file),
     }
 
 
-def _first(folder: pathlib.Path) -> pathlib.Path:
-    return min(folder.iterdir())
+def _rename(path: pathlib.Path) -> None:
+    path.rename(path.with_name(f"other{path.suffix}"))
 
 
-def _stored(picture: Image.Image, form: str, **options: object) -> bytes:
+def _encoded(picture: Image.Image, form: str, **options: object) -> bytes:
     stream = io.BytesIO()
     picture.save(stream, form, **options)
     return stream.getvalue()
 
 
-def _turned(picture: Image.Image, form: str, orientation: int) -> bytes:
+def _rotated(picture: Image.Image, form: str, orientation: int) -> bytes:
     exif = Image.Exif()
     exif[EXIF_ORIENTATION] = orientation
-    return _stored(picture, form, exif=exif)
+    return _encoded(picture, form, exif=exif)
 
 
-def _cut(data: bytes, share: float) -> Change:
-    return filled(data[: int(share * len(data))])
+def _truncated(data: bytes, fraction: float) -> Change:
+    return filled(data[: int(fraction * len(data))])
 
 
-def _with(mask: np.ndarray, value: int) -> np.ndarray:
+def _with_pixel(mask: np.ndarray, value: int) -> np.ndarray:
     changed = mask.copy()
     changed[3, 3] = value
     return changed
@@ -224,10 +191,10 @@ def _jpeg_of_size(data: bytes, width: int, height: int) -> bytes:
     return data[: frame + 5] + struct.pack(">HH", height, width) + data[frame + 9 :]
 
 
-def _damaged(png: bytes) -> Change:
+def _bit_flipped(png: bytes) -> Change:
     def change(path: pathlib.Path, random: Random) -> None:
         first = png.index(b"IDAT") + 4
-        place = random.randrange(first, len(png) - 16)
-        rewrite(path, png[:place] + bytes([png[place] ^ (1 << random.randrange(8))]) + png[place + 1 :])
+        position = random.randrange(first, len(png) - 16)
+        rewrite(path, png[:position] + bytes([png[position] ^ (1 << random.randrange(8))]) + png[position + 1 :])
 
     return change

@@ -1,8 +1,9 @@
-"""What the chain itself stores and reads again: members, fields, motions, executions, registries of files."""
+"""Corruptions of what the chain stores and reads again: members, grids, motions, executions and registries."""
 
 import hashlib
 import json
 import pathlib
+from collections.abc import Callable
 from random import Random
 
 import numpy as np
@@ -20,66 +21,67 @@ from deltasafe.planning import (
     ToolBody,
     TrackingBound,
 )
-from deltasafe.scene import OccupancyGrid, Sphere, grid_from_shapes
-from evidence.faults.judging import Case, Door, Spoil
-from evidence.faults.malformed.documents import changed, document_spoils, field_spoils
-from evidence.faults.malformed.files import at, file_spoils, filled
-from evidence.faults.malformed.packed import array_spoils, with_array
-from evidence.faults.malformed.weights import weight_spoils
-
-__all__ = ["recording_cases"]
+from deltasafe.scene import OccupancyGrid
+from evidence.faults.malformed.documents import document_changes, field_changes, with_field
+from evidence.faults.malformed.files import (
+    NOT_A_FILE,
+    at,
+    blaming_folder,
+    cases_of,
+    file_cases,
+    file_changes,
+    filled,
+    prefixed,
+)
+from evidence.faults.malformed.packed import array_changes, with_array
+from evidence.faults.malformed.tasks import ball_grid
+from evidence.faults.malformed.weights import weight_changes
+from evidence.faults.rejection import Case, Change, Corruption, InputKind
+from evidence.fixtures import synthetic_execution
 
 
 def recording_cases(home: pathlib.Path, member: pathlib.Path) -> list[Case]:
-    """Of every kind of folder that later steps, or other projects, read."""
+    """Every kind of folder that later steps or other projects read."""
     return [*_executions(home), *_motions(home), *_grids(home), *_members(member), *_registries(home)]
 
 
+def _in_folder(name: str) -> Callable[[Change], Corruption]:
+    """Change one file; the error must name the folder, because the files contradict each other."""
+    return lambda change: blaming_folder(at(name, change))
+
+
 def _executions(home: pathlib.Path) -> list[Case]:
-    sound, count = home / "execution", 30
-    Execution(
-        reference_poses=np.zeros((count, 4)),
-        reference_velocities=np.zeros((count, 4)),
-        time_s=np.arange(count) / 100,
-        phase=np.repeat([0, 2, 4], 10),
-        tool_positions_m=np.zeros((count, 3)),
-        tool_quaternions=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
-        joint_positions_rad=np.zeros((count, 7)),
-        torques_nm=np.zeros((count, 7)),
-        tool_to_hand_m=np.ones(count),
-        arm_to_hand_m=np.ones(count),
-        contacts=np.zeros(count, np.int32),
-        body=ToolBody(),
-        seed=0,
-    ).save(sound)
-
-    def read(given: pathlib.Path, out: pathlib.Path) -> None:
-        Execution.load(given)
-
-    door = Door("execution", sound, read, lambda given, out: ["export", str(given), str(out / "run.mcap")])
-    about = json.loads((sound / "execution.json").read_text())
-    unread = ("missing", "a folder", "a pipe", "a link to nowhere", "a link to itself")
-    spoils: dict[str, Spoil] = {}
-    for name, change in document_spoils().items():
-        spoil = at("execution.json", change)
-        spoils[f"execution.json: {name}"] = _naming_folder(spoil) if name in unread else spoil
-    for name, change in field_spoils(about, ("format", "body", "body.semi_axis_x_m", "seed", "stop_reason", "digest")):
-        if name != "without body.semi_axis_x_m":  # which is what it is without being said
-            spoils[f"execution.json: {name}"] = _naming_folder(at("execution.json", change))
-    for name, change in array_spoils(sound / "arrays.npz").items():
-        spoils[f"arrays.npz: {name}"] = _naming_folder(at("arrays.npz", change))
-    altered = {
-        "tool_to_hand_m": np.full(count, 2.0),
-        "time_s": np.arange(29.0),
-        "reference_poses": np.zeros((count, 3)),
+    valid, count = home / "execution", 30
+    synthetic_execution(count, 0).save(valid)
+    kind = InputKind(
+        "execution",
+        valid,
+        lambda given, out: Execution.load(given),
+        lambda given, out: ["export", str(given), str(out / "run.mcap")],
+    )
+    about = json.loads((valid / "execution.json").read_text())
+    fields = dict(field_changes(about, ("format", "body", "body.semi_axis_x_m", "seed", "stop_reason", "digest")))
+    del fields["without body.semi_axis_x_m"]  # the default value is the same
+    document = document_changes()
+    missing = {name: document.pop(name) for name in NOT_A_FILE}
+    arrays = {
+        **array_changes(valid / "arrays.npz"),
+        "another tool_to_hand_m": with_array("tool_to_hand_m", np.full(count, 2.0)),
+        "another time_s": with_array("time_s", np.arange(29.0)),
+        "another reference_poses": with_array("reference_poses", np.zeros((count, 3))),
     }
-    for name, value in altered.items():
-        spoils[f"arrays.npz: another {name}"] = _naming_folder(at("arrays.npz", with_array(name, value)))
-    return [Case(name, door, spoil) for name, spoil in spoils.items()]
+    return cases_of(
+        kind,
+        {
+            **prefixed("execution.json", document, lambda change: at("execution.json", change)),
+            **prefixed("execution.json", {**missing, **fields}, _in_folder("execution.json")),
+            **prefixed("arrays.npz", arrays, _in_folder("arrays.npz")),
+        },
+    )
 
 
 def _motions(home: pathlib.Path) -> list[Case]:
-    sound, poses = home / "motion", np.array([[0.0, 0.0, 0.03, 0.0], [0.1, 0.0, 0.03, 0.0]])
+    valid, poses = home / "motion", np.array([[0.0, 0.0, 0.03, 0.0], [0.1, 0.0, 0.03, 0.0]])
     column = np.array([0.01, 0.01])
     PlannedMotion(
         PlanResult(PlanStatus.SOLVED, PosePath(poses), 0.001, 0.01, 0.1, 0.01, 0.003, 10, 5, 3, "solved"),
@@ -90,97 +92,75 @@ def _motions(home: pathlib.Path) -> list[Case]:
         ToolBody(),
         TrackingBound(),
         0,
-    ).save(sound)
-
-    def read(given: pathlib.Path, out: pathlib.Path) -> None:
-        PlannedMotion.load(given)
-
-    door = Door("motion", sound, read)
-    record = json.loads((sound / "motion.json").read_text())
-    fields = ("format", "result", "result.status", "settings", "settings.method", "body", "tracking")
-    spoils = {f"motion.json: {name}": at("motion.json", change) for name, change in document_spoils().items()}
-    for name, change in field_spoils(record, fields):
-        if not name.startswith("without settings.") and name not in ("settings is {}", "body is {}", "tracking is {}"):
-            spoils[f"motion.json: {name}"] = _naming_folder(at("motion.json", change))
-    for field, value in (
-        ("result.status", "hope"),
-        ("settings.delta", 2.0),
-        ("settings.surplus", 1),
-        ("reason", "none"),
-    ):
-        spoils[f"motion.json: {field} is {value!r}"] = _naming_folder(at("motion.json", changed(field, value)))
-    for name, change in array_spoils(sound / "motion.npz").items():
-        spoils[f"motion.npz: {name}"] = _naming_folder(at("motion.npz", change))
-    spoils["motion.npz: time that stands still"] = _naming_folder(
-        at("motion.npz", with_array("trajectory_time_s", np.zeros(2)))
+    ).save(valid)
+    record = json.loads((valid / "motion.json").read_text())
+    names = ("format", "result", "result.status", "settings", "settings.method", "body", "tracking")
+    fields = {
+        name: change
+        for name, change in field_changes(record, names)
+        if not name.startswith("without settings.") and name not in ("settings is {}", "body is {}", "tracking is {}")
+    }
+    values = [("result.status", "hope"), ("settings.delta", 2.0), ("settings.surplus", 1), ("reason", "none")]
+    fields |= {f"{field} is {value!r}": with_field(field, value) for field, value in values}
+    arrays = {
+        **array_changes(valid / "motion.npz"),
+        "times that do not increase": with_array("trajectory_time_s", np.zeros(2)),
+    }
+    return cases_of(
+        InputKind("motion", valid, lambda given, out: PlannedMotion.load(given)),
+        {
+            **prefixed("motion.json", document_changes(), lambda change: at("motion.json", change)),
+            **prefixed("motion.json", fields, _in_folder("motion.json")),
+            **prefixed("motion.npz", arrays, _in_folder("motion.npz")),
+        },
     )
-    return [Case(name, door, spoil) for name, spoil in spoils.items()]
 
 
 def _grids(home: pathlib.Path) -> list[Case]:
-    sound = home / "grid.npz"
-    grid_from_shapes([Sphere((0, 0, 0.03), 0.02)], 0.01, (-0.1, -0.1, 0.0), (0.1, 0.1, 0.06), 0.01).save(sound)
-
-    def read(given: pathlib.Path, out: pathlib.Path) -> None:
-        OccupancyGrid.load(given)
-
-    door = Door("field", sound, read)
-    wrong = {
+    valid = home / "grid.npz"
+    ball_grid().save(valid)
+    values = {
         "p_occupied": [np.full((4, 4, 4), np.nan), np.full((4, 4, 4), 1.5), np.full((4, 4, 4), -0.1), np.zeros((4, 4))],
         "origin_m": [np.array([0.0, np.nan, 0.0]), np.zeros(2)],
         "voxel_m": [np.array(0.0), np.array(-0.01), np.array(np.nan), np.array(np.inf), np.ones(2)],
     }
-    spoils = array_spoils(sound)
-    for name, values in wrong.items():
-        for n, value in enumerate(values):
-            spoils[f"impossible {name}, {n}"] = with_array(name, value)
-    return [Case(name, door, at("", change)) for name, change in spoils.items()]
+    changes = array_changes(valid)
+    for name, arrays in values.items():
+        changes |= {f"invalid {name}, {n}": with_array(name, array) for n, array in enumerate(arrays)}
+    return file_cases(InputKind("field", valid, lambda given, out: OccupancyGrid.load(given)), changes)
 
 
-def _members(sound: pathlib.Path) -> list[Case]:
-    def read(given: pathlib.Path, out: pathlib.Path) -> None:
-        Member.load(given).network()
+def _members(valid: pathlib.Path) -> list[Case]:
+    record = json.loads((valid / "member.json").read_text())
+    fields = dict(field_changes(record, ("weights_sha256", "settings", "settings.network")))
+    return cases_of(
+        InputKind("member", valid, lambda given, out: Member.load(given).network()),
+        {
+            **prefixed("member.json", document_changes(), lambda change: at("member.json", change)),
+            **prefixed("member.json", fields, _in_folder("member.json")),
+            **prefixed("weights", file_changes(), lambda change: at("weights.safetensors", change)),
+            **prefixed("weights with a matching digest", weight_changes(), _weights_with_digest),
+        },
+    )
 
-    door = Door("member", sound, read)
-    record = json.loads((sound / "member.json").read_text())
-    spoils = {f"member.json: {name}": at("member.json", change) for name, change in document_spoils().items()}
-    for name, change in field_spoils(record, ("weights_sha256", "settings", "settings.network")):
-        spoils[f"member.json: {name}"] = _naming_folder(at("member.json", change))
-    for name, change in file_spoils().items():
-        spoils[f"weights: {name}"] = at("weights.safetensors", change)
-    for name, change in weight_spoils().items():
 
-        def spoil(given: pathlib.Path, random: Random, change=change) -> str:  # type: ignore[no-untyped-def]
-            change(given / "weights.safetensors", random)
-            digest = hashlib.sha256((given / "weights.safetensors").read_bytes()).hexdigest()
-            changed("weights_sha256", digest)(given / "member.json", random)
-            return "weights.safetensors"
+def _weights_with_digest(change: Change) -> Corruption:
+    def corrupt(given: pathlib.Path, random: Random) -> str:
+        weights = given / "weights.safetensors"
+        change(weights, random)
+        with_field("weights_sha256", hashlib.sha256(weights.read_bytes()).hexdigest())(given / "member.json", random)
+        return weights.name
 
-        spoils[f"weights, their digest right: {name}"] = spoil
-    return [Case(name, door, spoil) for name, spoil in spoils.items()]
+    return corrupt
 
 
 def _registries(home: pathlib.Path) -> list[Case]:
-    sound = home / "registry.sha256"
-    sound.write_text(f"{'0' * 64}  images/a.png\n")
-
-    def read(given: pathlib.Path, out: pathlib.Path) -> None:
-        read_registry(given)
-
-    door, spoils = Door("registry", sound, read), file_spoils()
-    for name in ("empty", "half of it"):
-        del spoils[name]
-    spoils["a short digest"] = filled(b"0000  images/a.png\n")
-    spoils["no path"] = filled(b"0" * 64 + b"\n")
-    spoils["not UTF-8"] = filled(b"\xff" * 64 + b"  a.png\n")
-    return [Case(name, door, at("", change)) for name, change in spoils.items()]
-
-
-def _naming_folder(spoil: Spoil) -> Spoil:
-    """What two files say together is about their folder."""
-
-    def spoilt(given: pathlib.Path, random: Random) -> str:
-        spoil(given, random)
-        return given.name
-
-    return spoilt
+    valid = home / "registry.sha256"
+    valid.write_text(f"{'0' * 64}  images/a.png\n")
+    changes = file_changes()
+    for name in ("empty", "truncated"):
+        del changes[name]
+    changes["a short digest"] = filled(b"0000  images/a.png\n")
+    changes["no path"] = filled(b"0" * 64 + b"\n")
+    changes["not UTF-8"] = filled(b"\xff" * 64 + b"  a.png\n")
+    return file_cases(InputKind("registry", valid, lambda given, out: read_registry(given)), changes)

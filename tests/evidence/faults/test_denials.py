@@ -1,7 +1,6 @@
-"""A share of ``python -m evidence.faults.denials``, and whether it would notice what it looks for."""
+"""``evidence.faults.denials`` with two writers, and writers with defects that it must detect."""
 
 import pathlib
-import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -9,54 +8,53 @@ import pytest
 
 from deltasafe.errors import WriteError
 from deltasafe.storage import write_json
-from evidence.faults.denials import deny, no_permission, no_room
-from evidence.faults.killing import Writer
-from evidence.faults.sets import tiny_hands
-from evidence.faults.writers import augmented_sets, executions
+from evidence.faults.children import Commit, Writer
+from evidence.faults.denials import deny, no_permission, no_space
+from evidence.faults.writers import augmented_set_writer, execution_writer
+from evidence.fixtures import temporary_home, tiny_hands
 
 
 @pytest.fixture
 def home() -> Iterator[pathlib.Path]:
-    with tempfile.TemporaryDirectory() as name:  # pytest's own folders are closed to others
-        pathlib.Path(name).chmod(0o755)
-        yield pathlib.Path(name)
+    with temporary_home() as folder:  # pytest's own folders are closed to unprivileged users
+        yield folder
 
 
 @pytest.mark.parametrize("name", ["augmented set", "execution log"])
-def test_no_room_and_no_permission_are_told_and_leave_the_old(name: str, home: pathlib.Path) -> None:
-    writer = executions() if name == "execution log" else augmented_sets(tiny_hands(home / "hands"))
+def test_denied_writer_raises_and_keeps_previous_version(name: str, home: pathlib.Path) -> None:
+    writer = execution_writer() if name == "execution log" else augmented_set_writer(tiny_hands(home / "hands"))
     for limit in (1, 5_000):
-        assert deny(writer, home / f"{limit}", f"room for {limit} bytes", partial(no_room, limit)) == ""
-    place = home / "closed"
-    assert deny(writer, place, "no permission", partial(no_permission, place)) == ""
+        assert deny(writer, home / f"{limit}", f"at most {limit} bytes", partial(no_space, limit)) == ""
+    closed = home / "closed"
+    assert deny(writer, closed, "no permission", partial(no_permission, closed)) == ""
 
 
 def _writer(write: Callable[[pathlib.Path, int], None]) -> Writer:
-    def writing(home: pathlib.Path, number: int, say: Callable[[int], None]) -> None:
+    def write_version(home: pathlib.Path, number: int, commit: Commit) -> None:
         home.mkdir(exist_ok=True)
         write(home, number)
 
-    return Writer("numbers", writing, lambda home: int((home / "number").read_text().split()[0]))
+    return Writer("numbers", write_version, lambda home: int((home / "number").read_text().split()[0]))
 
 
-def test_an_old_version_that_is_lost_is_told(home: pathlib.Path) -> None:
+def test_lost_previous_version_is_detected(home: pathlib.Path) -> None:
     def in_place(home: pathlib.Path, number: int) -> None:
         try:
             (home / "number").write_text(f"{number} " * 1000)
         except OSError as error:
-            raise WriteError(home / "number", f"cannot be written ({error.strerror}); free room there") from error
+            raise WriteError(home / "number", f"cannot be written ({error.strerror}); free space there") from error
 
-    assert "1 stood there, and now 2" in deny(_writer(in_place), home / "a", "no room", partial(no_room, 100))
+    assert "version 1 was stored, now 2" in deny(_writer(in_place), home / "a", "no space", partial(no_space, 100))
 
 
-def test_an_error_that_does_not_say_what_is_wrong_is_told(home: pathlib.Path) -> None:
-    def unclear(home: pathlib.Path, number: int) -> None:
+def test_untyped_error_is_detected(home: pathlib.Path) -> None:
+    def untyped(home: pathlib.Path, number: int) -> None:
         with (home / "number").open("x" if number == 2 else "w") as file:
             file.write(f"{number} ")
 
-    assert "FileExistsError" in deny(_writer(unclear), home / "a", "no room", partial(no_room, 100))
+    assert "FileExistsError" in deny(_writer(untyped), home / "a", "no space", partial(no_space, 100))
 
 
-def test_a_denial_that_denies_nothing_is_no_failure(home: pathlib.Path) -> None:
+def test_sufficient_space_is_no_failure(home: pathlib.Path) -> None:
     writer = _writer(lambda home, number: write_json(home / "number", number))
-    assert deny(writer, home / "a", "room enough", partial(no_room, 10**9)) == ""
+    assert deny(writer, home / "a", "enough space", partial(no_space, 10**9)) == ""

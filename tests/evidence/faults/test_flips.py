@@ -1,12 +1,12 @@
-"""A share of ``python -m evidence.faults.flips``."""
+"""``evidence.faults.flips`` with few changes, and proof that it detects parsing and missed changes."""
 
 import pathlib
 
 import pytest
 
 from deltasafe.perception.artifact import load_ensemble
-from evidence.faults.ensemble import tiny_ensemble
-from evidence.faults.flips import EnteredError, exchange_files, flip_bytes, nothing_is_made, resize_files
+from evidence.faults.flips import EnteredError, change_bytes, exchange_files, flipped, parsers_raise, resized
+from evidence.fixtures import tiny_ensemble
 
 
 @pytest.fixture(scope="module")
@@ -14,21 +14,20 @@ def frozen(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     return tiny_ensemble(tmp_path_factory.mktemp("ensemble"))
 
 
-def test_no_changed_byte_is_missed_and_nothing_is_made_of_any(frozen: pathlib.Path) -> None:
+def test_every_change_is_detected_before_parsing_and_undone(frozen: pathlib.Path) -> None:
     before = {path.name: path.read_bytes() for path in frozen.iterdir()}
-    with nothing_is_made():
-        assert flip_bytes(frozen, 60, seed=1) == []
-        assert resize_files(frozen, 10, seed=1) == []
-        count, missed = exchange_files(frozen)
-    assert (count, missed) == (15, [])
+    with parsers_raise():
+        assert change_bytes(frozen, 60, 1, flipped) == []
+        assert change_bytes(frozen, 10, 1, resized) == []
+        assert exchange_files(frozen) == (15, [])
     assert {path.name: path.read_bytes() for path in frozen.iterdir()} == before
 
 
-def test_whoever_reads_weights_is_noticed(frozen: pathlib.Path) -> None:
-    with nothing_is_made(), pytest.raises(EnteredError):
+def test_loading_a_valid_ensemble_calls_a_parser(frozen: pathlib.Path) -> None:
+    with parsers_raise(), pytest.raises(EnteredError):
         load_ensemble(frozen)
 
 
-def test_a_change_that_is_not_noticed_is_told(frozen: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missed_change_is_reported(frozen: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("evidence.faults.flips.load_ensemble", lambda folder: None)
-    assert len(flip_bytes(frozen, 3, seed=0)) == 3
+    assert len(change_bytes(frozen, 3, 0, flipped)) == 3

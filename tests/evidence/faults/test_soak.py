@@ -1,4 +1,4 @@
-"""A share of ``python -m evidence.faults.soak``, and whether it would notice what it looks for."""
+"""``evidence.faults.soak`` with few runs, and leaks that it must detect."""
 
 import os
 import pathlib
@@ -9,23 +9,23 @@ import pytest
 
 from evidence.faults.soak import ASSETS, Usage, growth, prepared_home, soak
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="usage is read in /proc")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 MIB = 2**20
 
 
-@pytest.mark.filterwarnings("ignore")  # of MLflow's and Dagster's own making, in runs within this process
-def test_a_few_runs_need_no_more_files_and_threads_than_one(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.filterwarnings("ignore")  # raised by MLflow and Dagster themselves
+def test_repeated_runs_do_not_grow(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DELTASAFE_HOME", "DAGSTER_HOME"):
-        monkeypatch.setenv(name, "")  # both are set by the soak, and are as before afterwards
+        monkeypatch.setenv(name, "")  # the soak overwrites both; this restores them
     with prepared_home() as home:
-        usages, materialised = soak(home, runs=3, warm_up=2)
-    assert materialised == 3 * len(ASSETS)
+        usages, materialized = soak(home, runs=3, warm_up=2)
+    assert materialized == 3 * len(ASSETS)
     grown, handles = growth(usages)
     assert handles <= 0
     assert grown < 0.05
 
 
-def test_what_is_kept_is_seen(tmp_path: pathlib.Path) -> None:
+def test_usage_measures_memory_files_and_threads(tmp_path: pathlib.Path) -> None:
     before, stop = Usage.now(), threading.Event()
     kept = [os.urandom(8 * MIB) for _ in range(8)]
     thread = threading.Thread(target=stop.wait)
@@ -40,7 +40,7 @@ def test_what_is_kept_is_seen(tmp_path: pathlib.Path) -> None:
     assert Usage.now().rss_bytes - before.rss_bytes < 32 * MIB
 
 
-def test_growth_compares_the_last_tenth_with_the_first_and_is_not_misled_by_one_of_them() -> None:
+def test_growth_compares_last_tenth_with_first_tenth_and_ignores_outliers() -> None:
     steady = [Usage(100 * MIB, 10, 4) for _ in range(100)]
     assert growth(steady) == (0.0, 0)
     peak = [*steady[:-1], Usage(900 * MIB, 10, 4)]
