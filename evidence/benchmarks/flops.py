@@ -1,4 +1,4 @@
-"""How many multiplications and additions a training needs, whatever it runs on."""
+"""Number of floating-point operations of one training step, on any hardware."""
 
 import math
 from collections.abc import Sequence
@@ -9,13 +9,11 @@ from torch import nn
 from torch.nn import functional
 from torch.utils.flop_counter import FlopCounterMode
 
-__all__ = ["training_flops"]
-
 
 def training_flops(network: nn.Module, height: int, width: int) -> int:
-    """FLOPs of forward and backward pass for one image of ``height`` x ``width``; a multiply-add is two.
+    """Count the FLOPs of forward and backward pass for one image; a multiply-add counts as two.
 
-    Nothing is computed: ``network`` is a throw-away one, whose weights are dropped.
+    Nothing is computed: the network is moved to the meta device, where it loses its weights.
     """
     network = network.train().to("meta")
     images, labels = torch.rand(2, 3, height, width, device="meta"), torch.zeros(2, height, width, device="meta")
@@ -25,11 +23,11 @@ def training_flops(network: nn.Module, height: int, width: int) -> int:
     return counter.get_total_flops() // 2
 
 
-def _backward(grad_out: Sequence[int], images: Sequence[int], weight: Sequence[int], *rest: Any, **kept: Any) -> int:
-    """Each wanted gradient, of input and of weight, costs what the forward pass costs.
+def _backward(grad_out: Sequence[int], images: Sequence[int], weight: Sequence[int], *rest: Any, **kwargs: Any) -> int:
+    """Count one forward pass for each requested gradient (of input and weight).
 
-    torch's own rule counts the weight's gradient of a grouped convolution as if it were dense: hundreds of times too
-    much in a network of depthwise ones.
+    torch's own rule counts the weight gradient of a grouped convolution as if it were dense, which is hundreds of
+    times too much for depthwise convolutions.
     """
-    wanted = rest[-1]
-    return int(2 * math.prod(grad_out) * math.prod(weight[1:]) * (wanted[0] + wanted[1]))
+    requested = rest[-1]
+    return int(2 * math.prod(grad_out) * math.prod(weight[1:]) * (requested[0] + requested[1]))

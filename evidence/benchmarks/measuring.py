@@ -1,4 +1,4 @@
-"""Timing side by side on a machine that others use too, and the record of what was measured."""
+"""Timing of programs in turn on a machine that other processes also use."""
 
 import argparse
 import math
@@ -12,28 +12,33 @@ from typing import Any
 
 import torch
 
-from pipelines.provenance import commit, machine
-from pipelines.records import merge_part
+from evidence.reporting import command_parser
 
-__all__ = ["conclude", "foreign_cores", "interleaved", "matmul_peak", "median_ms", "parser", "say"]
+
+def benchmark_parser(module: str, description: str | None, repeats: int = 9) -> argparse.ArgumentParser:
+    """Create a parser with the options that all benchmarks share."""
+    parser = command_parser(f"benchmarks.{module}", description)
+    parser.add_argument("--repeats", type=int, default=repeats, help="repeats; medians are over them (%(default)s)")
+    parser.add_argument("--tiny", action="store_true", help="tiny sizes: checks that the benchmark runs, no more")
+    return parser
 
 
 def interleaved(programs: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, list[float]]:
-    """Seconds of each program, called in turns, so that a change of the machine's load meets all of them."""
+    """Return seconds of each program, called in turn, so that changes of the machine's load affect all of them."""
     for program in programs.values():
         program()
         program()
     taken: dict[str, list[float]] = {name: [] for name in programs}
     for _ in range(repeats):
         for name, program in programs.items():
-            began = time.perf_counter()
+            began_s = time.perf_counter()
             program()
-            taken[name].append(time.perf_counter() - began)
+            taken[name].append(time.perf_counter() - began_s)
     return taken
 
 
 class foreign_cores:  # noqa: N801
-    """Context that measures how many cores other processes kept busy meanwhile (`cores`; NaN where unknown)."""
+    """Context that measures how many cores other processes kept busy (`cores`; NaN where this is unknown)."""
 
     def __enter__(self) -> "foreign_cores":
         self._before = _busy_s(), _own_s(), time.perf_counter()
@@ -61,53 +66,12 @@ def _own_s() -> float:
 
 
 def matmul_peak(dtype: torch.dtype, size: int = 2048, repeats: int = 5) -> float:
-    """Largest multiplications and additions a second (FLOP/s) of square matrices, all of torch's threads."""
+    """Return the highest FLOP/s of a product of square matrices, with all of torch's threads."""
     a, b = (torch.randn(size, size).to(dtype) for _ in range(2))
     seconds = interleaved({"mm": lambda: a @ b}, repeats)["mm"]
     return 2 * size**3 / min(seconds)
 
 
-def parser(description: str | None) -> argparse.ArgumentParser:
-    """Options that every benchmark has."""
-    made = argparse.ArgumentParser(description=description)
-    made.add_argument("--repeats", type=int, default=9, help="turns (default 9); medians are over them")
-    made.add_argument("--record", type=pathlib.Path, help="also merge the figures into this JSON file")
-    made.add_argument("--tiny", action="store_true", help="everything very small: shows that it runs, measures nothing")
-    return made
-
-
-def conclude(record: dict[str, Any], destination: pathlib.Path | None, command: str) -> None:
-    """Print by what was measured, and merge the record into a file of several benchmarks if asked to.
-
-    Args:
-        record: ``figures`` (name -> number) with whatever explains them, ``seeds`` among it.
-        destination: JSON: ``figures`` of all its benchmarks, and under ``parts`` each one's own record. Figures
-            that this benchmark gave earlier are replaced, those of others stay.
-        command: what measured it, with its options.
-    """
-    record = {"seeds": {}, "load_1min": os.getloadavg()[0], **_without_nan(record)}
-    say(f"{machine()}; load {record['load_1min']:.1f}; commit {commit()}")
-    if destination is None:
-        return
-    name = command.rpartition("-m evidence.benchmarks.")[2].split(maxsplit=1)[0]
-    merge_part(destination, name, command=command, **record)
-    say(f"written: {destination}")
-
-
-def _without_nan(value: Any) -> Any:
-    """JSON has no NaN: what is unknown is null."""
-    if isinstance(value, dict):
-        return {key: _without_nan(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(each) for each in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
-def say(text: str) -> None:
-    """Print at once, also into a pipe."""
-    print(text, flush=True)
-
-
 def median_ms(seconds: list[float]) -> float:
-    """Median in milliseconds."""
+    """Return the median in milliseconds."""
     return 1e3 * statistics.median(seconds)

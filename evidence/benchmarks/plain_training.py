@@ -1,4 +1,4 @@
-"""The training that one writes first: PNG files, a DataLoader, float32, torch's defaults, one member after another."""
+"""Baseline training loop: PNG files, a DataLoader, float32, torch's defaults, members in sequence."""
 
 import os
 import pathlib
@@ -16,11 +16,9 @@ from deltasafe.perception.network import build_network
 from deltasafe.perception.settings import TrainingSettings
 from deltasafe.perception.training import learning_rate
 
-__all__ = ["PngHands", "plain_training", "write_pngs"]
-
 
 def write_pngs(data: AugmentedSet, folder: pathlib.Path) -> None:
-    """The images and masks of a stored set as files of one picture each."""
+    """Write every image and mask of an augmented set as a PNG file."""
     folder.mkdir(parents=True)
     for i in range(data.n):
         cv2.imwrite(str(folder / f"{i:05d}-image.png"), data.images[i][..., ::-1])
@@ -28,7 +26,7 @@ def write_pngs(data: AugmentedSet, folder: pathlib.Path) -> None:
 
 
 class PngHands(Dataset[tuple[Tensor, Tensor]]):
-    """Pairs of image (3, H, W), 0..255, and label (H, W), both float32, decoded when asked for."""
+    """Pairs of image (3, H, W), 0..255, and label (H, W), both float32, decoded on access."""
 
     def __init__(self, folder: pathlib.Path) -> None:
         self.images = sorted(folder.glob("*-image.png"))
@@ -46,22 +44,21 @@ class PngHands(Dataset[tuple[Tensor, Tensor]]):
 def plain_training(
     pngs: PngHands, settings: TrainingSettings, seeds: tuple[int, ...], on_step: Callable[[int, int, float], None]
 ) -> None:
-    """One epoch of each member; ``on_step`` hears (seed, step from 1, loss). Recipe and network as in ours."""
+    """Train one epoch of each member with our recipe and network; calls ``on_step(seed, step from 1, loss)``."""
+    workers = min(2, os.cpu_count() or 1)
     for seed in seeds:
         torch.manual_seed(seed)
-        loader = DataLoader(
-            pngs, settings.batch_size, shuffle=True, num_workers=min(2, os.cpu_count() or 1), drop_last=True
-        )
+        loader = DataLoader(pngs, settings.batch_size, shuffle=True, num_workers=workers, drop_last=True)
         network = build_network(settings.network, seed).train()
-        optimiser = torch.optim.Adam(
+        optimizer = torch.optim.Adam(
             network.parameters(), lr=settings.peak_learning_rate, weight_decay=settings.weight_decay
         )
         criterion = torch.nn.BCEWithLogitsLoss()
         for step, (images, labels) in enumerate(loader):
-            for group in optimiser.param_groups:
+            for group in optimizer.param_groups:
                 group["lr"] = learning_rate(settings, step, len(loader))
             loss = criterion(network(images), labels)
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             loss.backward()
-            optimiser.step()
+            optimizer.step()
             on_step(seed, step + 1, loss.item())

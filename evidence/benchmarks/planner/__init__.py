@@ -1,1 +1,1 @@
-"""The planner's search core beside OMPL, and the properties that its speed rests on."""
+"""The planner against OMPL, and how its time scales: `python -m evidence.benchmarks.planner`."""

@@ -1,12 +1,11 @@
-"""Each measure of the benchmark: what is run in turns, and what follows from it. Times are those of the thread."""
+"""The measures of the planner benchmark. Methods run in turn; times are thread times."""
 
 import functools
 import itertools
 import math
-import pathlib
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,38 +15,30 @@ from deltasafe.planner_study.scenes import EllipticDisc, crowded_scene
 from deltasafe.planning import is_segment_safe
 from deltasafe.planning.yaw_certificate import yaw_certificate
 from deltasafe.trials.audit import audit_path
-from evidence.benchmarks.planner.asking import segments_asked
-from evidence.benchmarks.planner.ompl import harness, wheel
+from evidence.benchmarks.planner.ompl import Budget, Ompl, Run
 from evidence.benchmarks.planner.problems import DELTA, DELTA_P_M, MARGIN_M, Problem
-
-__all__ = [
-    "against_ompl",
-    "at_equal_time",
-    "audit",
-    "cold_compile_s",
-    "flatness",
-    "growth",
-    "missed_by_sampling",
-    "turns",
-    "yaw_certificate_ms",
-]
+from evidence.benchmarks.planner.segment_count import segment_counts
 
 REACH_M = EllipticDisc().semi_axis_x_m
-Run = Callable[[int], tuple[float, float]]
+Found = tuple[dict[str, Any], dict[str, float]]
+"""Results of each method, and figures."""
 
 
-def turns(contenders: Mapping[str, Run], repeats: int, twice: bool = True) -> dict[str, dict[str, Any]]:
-    """Seconds and costs of each contender, called in turns with the same seeds after one call to warm up.
+def compare(methods: Mapping[str, Run | None], repeats: int, warm_up: bool = True) -> dict[str, dict[str, Any]]:
+    """Run all available methods in turn with the same seeds, after one call each for compilation.
 
-    ``twice``: in each turn as well the first call is for warming up: what was called before it has emptied the caches.
+    Args:
+        warm_up: run each method twice per repeat and count the second run, because the method before it has evicted
+            the caches.
     """
-    for run in contenders.values():
+    runs = {name: run for name, run in methods.items() if run is not None}
+    for run in runs.values():
         run(0)
-    seconds: dict[str, list[float]] = {name: [] for name in contenders}
-    costs: dict[str, list[float]] = {name: [] for name in contenders}
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
+    costs: dict[str, list[float]] = {name: [] for name in runs}
     for seed in range(repeats):
-        for name, run in contenders.items():
-            if twice:
+        for name, run in runs.items():
+            if warm_up:
                 run(seed)
             taken, cost = run(seed)
             seconds[name].append(taken)
@@ -60,39 +51,29 @@ def turns(contenders: Mapping[str, Run], repeats: int, twice: bool = True) -> di
             "solved": sum(map(math.isfinite, costs[name])),
             "seconds": seconds[name],
         }
-        for name in contenders
+        for name in runs
     }
 
 
 def ratio(found: Mapping[str, Mapping[str, Any]], slow: str, fast: str) -> float:
-    """Median over turns of the ratio of two contenders' times."""
+    """Return the median over repeats of the ratio of two methods' times."""
     return statistics.median(a / b for a, b in zip(found[slow]["seconds"], found[fast]["seconds"], strict=True))
 
 
-def against_ompl(
-    problem: Problem,
-    iterations: int,
-    repeats: int,
-    program: pathlib.Path | None,
-    files: Mapping[str, pathlib.Path],
-    with_wheel: bool,
-) -> tuple[dict[str, Any], dict[str, float]]:
-    """RRT* of so many iterations with each test, and OMPL's with the sampled one; neither informed nor refined.
+def against_ompl(problem: Problem, iterations: int, repeats: int, ompl: Ompl) -> Found:
+    """Compare our RRT* under each segment test with OMPL's under the sampled test, without informed sampling.
 
-    OMPL is given the test as one writes it (samples, and the certificate without yaw), and ``..._by_yaw`` all that ours
-    has. Both give the same answers.
+    OMPL gets the sampled test with the certificate without yaw, and in ``..._by_yaw`` also the yaw certificate, as
+    ours. Both give the same answers.
     """
-    tests = {method: problem.test(method) for method in ("sampled", "exact", "continuous")}
-    runs: dict[str, Run] = {
-        method: functools.partial(problem.iterations, test, iterations) for method, test in tests.items()
+    methods: dict[str, Run | None] = {
+        method: functools.partial(problem.iterations, problem.test(method), iterations)
+        for method in ("sampled", "exact", "continuous")
     }
-    for name, by_yaw in (("", False), ("_by_yaw", True)):
-        if program is not None:
-            runs["ompl_cpp" + name] = functools.partial(harness, program, files[name], "RRTstar", iterations)
-        if with_wheel:
-            test = problem.test("sampled", by_yaw=by_yaw)
-            runs["ompl_wheel_numba" + name] = functools.partial(wheel, problem, test, "RRTstar", iterations)
-    found = turns(runs, repeats)
+    for suffix, by_yaw in (("", False), ("_by_yaw", True)):
+        methods[f"ompl_cpp{suffix}"] = ompl.cpp(problem, "RRTstar", Budget(iterations), by_yaw)
+        methods[f"ompl_wheel_numba{suffix}"] = ompl.wheel(problem, "RRTstar", Budget(iterations), by_yaw)
+    found = compare(methods, repeats)
     figures = {"ratio_exact_to_sampled": ratio(found, "continuous", "sampled")}
     for name in found:
         if name.startswith("ompl"):
@@ -101,8 +82,8 @@ def against_ompl(
     return found, figures
 
 
-def flatness(problem: Problem, iterations: int, repeats: int) -> tuple[dict[str, Any], dict[str, float]]:
-    """Time over the number of obstacles and over N_x, the field given."""
+def flatness(problem: Problem, iterations: int, repeats: int) -> Found:
+    """Measure how the time grows with the number of obstacles and with the number of samples N_x."""
     runs: dict[str, Run] = {}
     crowds = {count: Problem(crowded_scene(count, seed=0, radius_m=0.02)) for count in (1, 10, 100)}
     for count, crowd in crowds.items():
@@ -110,97 +91,82 @@ def flatness(problem: Problem, iterations: int, repeats: int) -> tuple[dict[str,
     for n_samples in (20, 100, 1000):
         test = problem.test("sampled", n_samples)
         runs[f"N_x = {n_samples}"] = functools.partial(problem.iterations, test, iterations)
-    found = turns(runs, repeats)
+    found = compare(runs, repeats)
     for count, crowd in crowds.items():
-        found[f"{count} obstacles"] |= segments_asked(crowd, iterations, repeats)
+        found[f"{count} obstacles"] |= segment_counts(crowd, iterations, repeats)
     return found, {
         "ratio_100_to_1_obstacles": ratio(found, "100 obstacles", "1 obstacles"),
         "ratio_nx1000_to_nx20": ratio(found, "N_x = 1000", "N_x = 20"),
     }
 
 
-def growth(problem: Problem, few: int, many: int, repeats: int) -> tuple[dict[str, Any], dict[str, float]]:
-    """What many iterations cost, over what few cost."""
+def growth(problem: Problem, few: int, many: int, repeats: int) -> Found:
+    """Measure the ratio of the times of many and few iterations."""
     test = problem.test("sampled")
     runs = {f"{count} iterations": functools.partial(problem.iterations, test, count) for count in (few, many)}
-    found = turns(runs, repeats)
+    found = compare(runs, repeats)
     return found, {"growth_50k_to_2k": ratio(found, f"{many} iterations", f"{few} iterations")}
 
 
 def at_equal_time(
-    problems: Mapping[str, Problem],
-    budgets_s: tuple[float, ...],
-    repeats: int,
-    program: pathlib.Path | None,
-    files: Mapping[str, pathlib.Path],
-    with_wheel: bool,
+    problems: Mapping[str, Problem], budgets_s: tuple[float, ...], repeats: int, ompl: Ompl
 ) -> dict[str, Any]:
-    """Mean costs within a time: ours with the continuous test, OMPL's with the sampled one and simplified."""
+    """Compare mean costs within a time: ours with both tests, OMPL's with the sampled test and simplification."""
     found: dict[str, Any] = {}
     for name, problem in problems.items():
         for budget_s in budgets_s:
-            runs: dict[str, Run] = {
-                "ours, continuous": functools.partial(problem.best_within, problem.test("continuous"), budget_s),
-                "ours, sampled": functools.partial(problem.best_within, problem.test("sampled"), budget_s),
+            budget = Budget(budget_s, timed=True, simplify=0.2)
+            methods: dict[str, Run | None] = {
+                f"ours, {method}": functools.partial(problem.best_within, problem.test(method), budget_s)
+                for method in ("continuous", "sampled")
             }
-            if program is not None:
-                for planner in ("RRTstar", "InformedRRTstar", "BITstar"):
-                    runs[f"OMPL {planner}"] = functools.partial(
-                        harness, program, files[name], planner, budget_s, timed=True, simplify=0.2
-                    )
-            if with_wheel:
-                runs["OMPL AORRTC (wheel)"] = functools.partial(
-                    wheel, problem, problem.test("sampled"), "AORRTC", budget_s, timed=True, simplify=0.2
-                )
-            table = turns(runs, repeats, twice=False)
+            for planner in ("RRTstar", "InformedRRTstar", "BITstar"):
+                methods[f"OMPL {planner}"] = ompl.cpp(problem, planner, budget)
+            methods["OMPL AORRTC (wheel)"] = ompl.wheel(problem, "AORRTC", budget)
+            table = compare(methods, repeats, warm_up=False)
             for row in table.values():
                 del row["seconds"]
             found[f"{name}, {1e3 * budget_s:g} ms"] = table
     return found
 
 
-def audit(problem: Problem, n_paths: int, iterations: int, spacing_m: float = 0.001) -> tuple[int, int, int]:
-    """Paths returned under the continuous test, poses looked at, and unsafe poses among them."""
-    test, points = problem.test("continuous"), _points_of_disc()
+def audit(problem: Problem, n_paths: int, iterations: int) -> tuple[int, int, int]:
+    """Return the number of paths found with the continuous test, of poses audited every mm, and of unsafe poses."""
+    test, points = problem.test("continuous"), _disc_points()
     paths = poses = unsafe = 0
-    seed = 0
-    while paths < n_paths and seed < 2 * n_paths:
-        search = problem.search(test, seed, informed=True)
-        search.grow(iterations)
-        path = search.tree.path()
-        seed += 1
+    for seed in range(2 * n_paths):
+        if paths == n_paths:
+            break
+        path = problem.path(test, iterations, seed, informed=True)
         if path is not None:
-            paths += 1
-            looked = audit_path(path, problem.field.grid, points, DELTA, REACH_M, spacing_m)
-            poses, unsafe = poses + looked.poses, unsafe + looked.unsafe_poses
+            audited = audit_path(path, problem.field.grid, points, DELTA, REACH_M)
+            paths, poses, unsafe = paths + 1, poses + audited.poses, unsafe + audited.unsafe_poses
     return paths, poses, unsafe
 
 
 def missed_by_sampling(
     problems: Mapping[str, Problem], n_paths: int, iterations: int, n_samples: tuple[int, ...] = (20, 100, 1000)
 ) -> dict[str, Any]:
-    """Of the paths that the sampled test accepts, how many have a segment refused by the continuous one, or a pose
-    that is unsafe when looked at every millimetre."""
-    points, table = _points_of_disc(), {}
+    """Count paths found with the sampled test that the continuous test refuses, or that have an unsafe pose."""
+    points, table = _disc_points(), {}
     for name, problem in problems.items():
-        exact = problem.test("continuous")
+        continuous = problem.test("continuous")
         for count in n_samples:
-            paths = refused = unsafe = 0
-            for seed in range(n_paths):
-                search = problem.search(problem.test("sampled", count, seed), seed)
-                search.grow(iterations)
-                path = search.tree.path()
-                if path is None:
-                    continue
-                paths += 1
-                refused += not all(is_segment_safe(exact, a, b) for a, b in itertools.pairwise(path))
-                unsafe += audit_path(path, problem.field.grid, points, DELTA, REACH_M).unsafe_poses > 0
-            table[f"{name}, N_x = {count}"] = {"paths": paths, "refused": refused, "unsafe": unsafe}
+            found = [problem.path(problem.test("sampled", count, seed), iterations, seed) for seed in range(n_paths)]
+            paths = [path for path in found if path is not None]
+            audits = [audit_path(path, problem.field.grid, points, DELTA, REACH_M) for path in paths]
+            table[f"{name}, N_x = {count}"] = {
+                "paths": len(paths),
+                "refused": sum(
+                    not all(is_segment_safe(continuous, a, b) for a, b in itertools.pairwise(path)) for path in paths
+                ),
+                "unsafe": sum(audited.unsafe_poses > 0 for audited in audits),
+            }
     return table
 
 
-def _points_of_disc(spacing_m: float = 0.001) -> NDArray[np.float64]:
-    """Points of the disc enlarged by the margin, on a lattice and on its rim: no code of the planner's."""
+def _disc_points(spacing_m: float = 0.001) -> NDArray[np.float64]:
+    """Create points of the disc enlarged by the margin, on a grid and on the rim, without code of the planner."""
     disc = EllipticDisc()
     a, b = disc.semi_axis_x_m + MARGIN_M, disc.semi_axis_y_m + MARGIN_M
     x, y = np.meshgrid(np.arange(-a, a + spacing_m, spacing_m), np.arange(-b, b + spacing_m, spacing_m))
@@ -216,18 +182,18 @@ def _points_of_disc(spacing_m: float = 0.001) -> NDArray[np.float64]:
 
 
 def yaw_certificate_ms(problem: Problem, repeats: int) -> float:
-    """Median time in which the certificate that knows the yaw is made, once for a field."""
+    """Return the median time to build the yaw certificate, which is built once per field."""
     taken = []
     for _ in range(repeats + 1):
         problem.field.kept.clear()
-        began = time.thread_time()
+        began_s = time.thread_time()
         yaw_certificate(problem.field, EllipticDisc(), MARGIN_M + DELTA_P_M / 2)
-        taken.append(1e3 * (time.thread_time() - began))
+        taken.append(1e3 * (time.thread_time() - began_s))
     return statistics.median(taken[1:])
 
 
 def cold_compile_s(problem: Problem) -> float:
-    """Seconds of the process until a first search of 50 iterations is done."""
-    began = time.process_time()
+    """Return the process time of a first search of 50 iterations, compilation included."""
+    began_s = time.process_time()
     problem.iterations(problem.test("sampled"), 50, 0)
-    return time.process_time() - began
+    return time.process_time() - began_s

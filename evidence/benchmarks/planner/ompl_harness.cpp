@@ -1,8 +1,8 @@
-// OMPL with the sampled test of deltasafe.planning: the same numbers, arrays and constants, read from a file.
+// Runs OMPL with the sampled segment test of deltasafe.planning: the same tables and constants, read from a file.
 //
 // usage: ompl_harness PROBLEM PLANNER (iterations|seconds) BUDGET SEED SIMPLIFY REWIRE_FACTOR
 // prints: seconds of this thread, cost of the path (inf if none)
-// A number of iterations is run twice, and the second time counts: warm, as everybody else there.
+// A search with a number of iterations runs twice, and the second run is timed, with warm caches.
 #include <ompl/base/goals/GoalState.h>
 #include <ompl/base/objectives/PathLengthOptimizationObjective.h>
 #include <ompl/base/spaces/RealVectorStateSpace.h>
@@ -60,7 +60,7 @@ struct Problem {
         }
     }
 
-    static uint64_t mixed(uint64_t key, uint64_t counter) {
+    static uint64_t splitmix64(uint64_t key, uint64_t counter) {
         uint64_t bits = key + counter * 0x9E3779B97F4A7C15ULL;
         bits = (bits ^ (bits >> 30)) * 0xBF58476D1CE4E5B9ULL;
         bits = (bits ^ (bits >> 27)) * 0x94D049BB133111EBULL;
@@ -98,7 +98,7 @@ struct Problem {
         const int32_t rows = n.ny, columns = (n.nz + 31) / 32;
         const int64_t first = bits & (n.pool - 1);
         const float *px = points.data() + first, *py = px + n.columns, *pz = py + n.columns;
-        for (int64_t begin = 0; begin < n.n_samples; begin += BLOCK) {  // found and looked up by vector units
+        for (int64_t begin = 0; begin < n.n_samples; begin += BLOCK) {  // written so that the compiler vectorizes it
             const int32_t left = n.n_samples - begin;
             int32_t bad = 0;
             for (int32_t m = 0; m < BLOCK; ++m) {
@@ -136,14 +136,14 @@ struct Problem {
             const double yaw = a[3] * scale + t * d[3];
             if (certified(x, y, z) || freeByYaw(x, y, z, yaw)) continue;
             if (!keyed) {
-                key = mixed(static_cast<uint64_t>(n.seed), 1);
+                key = splitmix64(static_cast<uint64_t>(n.seed), 1);
                 for (int axis = 0; axis < 4; ++axis) {
-                    key = mixed(key ^ static_cast<uint64_t>(static_cast<int64_t>(a[axis] * 1e9)), 1);
-                    key = mixed(key ^ static_cast<uint64_t>(static_cast<int64_t>(b[axis] * 1e9)), 1);
+                    key = splitmix64(key ^ static_cast<uint64_t>(static_cast<int64_t>(a[axis] * 1e9)), 1);
+                    key = splitmix64(key ^ static_cast<uint64_t>(static_cast<int64_t>(b[axis] * 1e9)), 1);
                 }
                 keyed = true;
             }
-            if (!samplesFree(x, y, z, yaw, mixed(key, step + 1))) return false;
+            if (!samplesFree(x, y, z, yaw, splitmix64(key, step + 1))) return false;
         }
         return true;
     }
@@ -182,16 +182,18 @@ static ob::PlannerPtr tree(const ob::SpaceInformationPtr& si, const Numbers& n, 
     return planner;
 }
 
-int main(int count, char** words) {
-    if (count != 8) return 2;
-    ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
-    const Problem problem(words[1]);
-    const std::string name = words[2];
-    const bool timed = std::string(words[3]) == "seconds";
-    const double budget = std::atof(words[4]), share = std::atof(words[6]);
-    ompl::RNG::setSeed(std::atol(words[5]) + 1);
+static void setPlanner(og::SimpleSetup& setup, const Numbers& n, const std::string& name, double rewire) {
+    const auto si = setup.getSpaceInformation();
+    if (name == "RRTstar") setup.setPlanner(tree<og::RRTstar>(si, n, rewire));
+    else if (name == "InformedRRTstar") setup.setPlanner(tree<og::InformedRRTstar>(si, n, rewire));
+    else if (name == "BITstar") setup.setPlanner(std::make_shared<og::BITstar>(si));
+    else std::exit(2);
+    setup.setup();
+}
+
+static void setProblem(og::SimpleSetup& setup, const Problem& problem) {
     const Numbers& n = problem.n;
-    auto space = std::make_shared<ob::RealVectorStateSpace>(4);
+    const auto space = setup.getStateSpace();
     ob::RealVectorBounds bounds(4);
     ob::ScopedState<ob::RealVectorStateSpace> start(space), goal(space);
     for (int axis = 0; axis < 4; ++axis) {
@@ -201,47 +203,53 @@ int main(int count, char** words) {
         start[axis] = n.start[axis] * scale;
         goal[axis] = n.goal[axis] * scale;
     }
-    space->setBounds(bounds);
-    og::SimpleSetup setup(space);
+    space->as<ob::RealVectorStateSpace>()->setBounds(bounds);
     const auto si = setup.getSpaceInformation();
     setup.setStateValidityChecker([&](const ob::State* s) { return problem.segmentIsSafe(values(s), values(s)); });
     si->setMotionValidator(std::make_shared<SampledMotion>(si, problem));
     setup.setStartAndGoalStates(start, goal, 1e-6);
     setup.setOptimizationObjective(std::make_shared<ob::PathLengthOptimizationObjective>(si));
-    const double rewire = std::atof(words[7]);
-    const auto begin = [&] {
-        if (name == "RRTstar") setup.setPlanner(tree<og::RRTstar>(si, n, rewire));
-        else if (name == "InformedRRTstar") setup.setPlanner(tree<og::InformedRRTstar>(si, n, rewire));
-        else if (name == "BITstar") setup.setPlanner(std::make_shared<og::BITstar>(si));
-        else std::exit(2);
-        setup.setup();
-    };
-    begin();
+}
+
+// Shortens the path until nothing changes or the thread time reaches the deadline.
+static void simplify(og::SimpleSetup& setup, og::PathGeometric& path, double deadline) {
+    const ob::PlannerTerminationCondition spent([&] { return threadSeconds() >= deadline; });
+    og::PathSimplifier simplifier(setup.getSpaceInformation(), setup.getGoal(), setup.getOptimizationObjective());
+    while (!spent) {
+        const double before = path.length();
+        simplifier.simplify(path, spent);
+        if (path.length() >= before * (1 - 1e-9)) break;
+    }
+}
+
+int main(int count, char** words) {
+    if (count != 8) return 2;
+    ompl::msg::setLogLevel(ompl::msg::LOG_NONE);
+    const Problem problem(words[1]);
+    const std::string name = words[2];
+    const bool timed = std::string(words[3]) == "seconds";
+    const double budget = std::atof(words[4]), fraction = std::atof(words[6]), rewire = std::atof(words[7]);
+    ompl::RNG::setSeed(std::atol(words[5]) + 1);
+    og::SimpleSetup setup(std::make_shared<ob::RealVectorStateSpace>(4));
+    setProblem(setup, problem);
+    setPlanner(setup, problem.n, name, rewire);
     double began = threadSeconds();
-    long asked = 0;
+    long calls = 0;
     const ob::PlannerTerminationConditionFn spent = [&] {
-        return timed ? threadSeconds() - began >= budget * (1 - share) : asked++ >= static_cast<long>(budget);
+        return timed ? threadSeconds() - began >= budget * (1 - fraction) : calls++ >= static_cast<long>(budget);
     };
     if (!timed) {
         setup.getPlanner()->solve(ob::PlannerTerminationCondition(spent));
         setup.getProblemDefinition()->clearSolutionPaths();
-        begin();
-        asked = 0;
+        setPlanner(setup, problem.n, name, rewire);
+        calls = 0;
         began = threadSeconds();
     }
     setup.getPlanner()->solve(ob::PlannerTerminationCondition(spent));
     double cost = INFINITY;
     if (setup.haveExactSolutionPath()) {
         og::PathGeometric& path = setup.getSolutionPath();
-        if (share > 0) {
-            const ob::PlannerTerminationCondition enough([&] { return threadSeconds() - began >= budget; });
-            og::PathSimplifier simplifier(si, setup.getGoal(), setup.getOptimizationObjective());
-            while (!enough) {
-                const double before = path.length();
-                simplifier.simplify(path, enough);
-                if (path.length() >= before * (1 - 1e-9)) break;
-            }
-        }
+        if (fraction > 0) simplify(setup, path, began + budget);
         cost = path.length();
     }
     std::printf("%.9f %.9f\n", threadSeconds() - began, cost);

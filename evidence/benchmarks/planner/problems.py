@@ -1,4 +1,4 @@
-"""What is planned: three scenes of the study, with the constants that all contenders share."""
+"""Planning problems: three scenes of the planner study, with the constants that all methods share."""
 
 import dataclasses
 import functools
@@ -36,8 +36,6 @@ from deltasafe.planning.scenarios import POOL_SIZE
 from deltasafe.planning.stepwise import SampledTest
 from deltasafe.scene import grid_from_shapes
 
-__all__ = ["DELTA_P_M", "MARGIN_M", "STEERING_M", "Problem", "problems", "write_problem"]
-
 Array = NDArray[np.float64]
 
 DELTA = 0.05
@@ -51,84 +49,74 @@ COST = line_cost("root", 0.01)
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """A scene between two corners, its field built once."""
+    """A scene with the start and goal of the study; its field is built once."""
 
     scene: StudyScene
 
     @functools.cached_property
     def field(self) -> SafetyField:
-        """{p_occupied > 0.05} of a linear decay over 2 cm."""
+        """Build the distance field of {p_occupied > 0.05}, where p_occupied decays linearly over 2 cm."""
         return SafetyField.build(grid_from_shapes(self.scene.shapes, DECAY_M, *WORKSPACE_M, 0.005), DELTA)
 
     def test(self, method: str, n_samples: int = 100, seed: int = 0, by_yaw: bool = True) -> SegmentTest:
-        """Test of segments of the study's disc."""
+        """Create a segment test for the disc of the study."""
         settings = CheckSettings(method, n_samples=n_samples, delta_p_m=DELTA_P_M, by_yaw=by_yaw)
         return segment_test(self.field, EllipticDisc(), MARGIN_M, settings, seed)
 
     def search(self, constraint: Any, seed: int, **options: Any) -> RrtStar:
-        """Our search, not begun."""
+        """Create a search."""
         ends = np.array(START), np.array(GOAL), np.array(LOWEST_POSE), np.array(HIGHEST_POSE)
         options = {"steering_range_m": STEERING_M, "goal_bias": GOAL_BIAS, "informed": False, **options}
         return RrtStar(constraint, COST, *ends, seed, **options)
 
     def iterations(self, constraint: Any, count: int, seed: int, **options: Any) -> tuple[float, float]:
-        """Seconds of this thread and cost of a search of ``count`` iterations."""
-        began = time.thread_time()
+        """Search for ``count`` iterations; return thread seconds and cost."""
+        began_s = time.thread_time()
         search = self.search(constraint, seed, **options)
         search.grow(count)
-        taken = time.thread_time() - began
-        return taken, float(search.tree.cost[1])
+        taken_s = time.thread_time() - began_s
+        return taken_s, float(search.tree.cost[1])
 
-    def best_within(self, constraint: Any, budget_s: float, seed: int, share: float = 0.4) -> tuple[float, float]:
-        """Seconds of this thread and cost of an informed search with large near sets, and of the path's refinement."""
-        began = time.thread_time()
+    def path(self, constraint: Any, count: int, seed: int, **options: Any) -> Array | None:
+        """Search for ``count`` iterations; return the path (N, 4), or None."""
+        search = self.search(constraint, seed, **options)
+        search.grow(count)
+        return search.tree.path()
+
+    def best_within(self, constraint: Any, budget_s: float, seed: int, refinement: float = 0.4) -> tuple[float, float]:
+        """Run an informed search with large near sets and refine the path; return thread seconds and cost."""
+        began_s = time.thread_time()
         search = self.search(constraint, seed, informed=True, near_factor=4.0)
-        search.grow(deadline_s=began + (1 - share) * budget_s, clock=time.thread_time)
+        search.grow(deadline_s=began_s + (1 - refinement) * budget_s, clock=time.thread_time)
         poses = search.tree.path()
         if poses is None:
-            return time.thread_time() - began, float("inf")
+            return time.thread_time() - began_s, float("inf")
         bounds = np.array(LOWEST_POSE), np.array(HIGHEST_POSE)
         poses = refine_path(
-            constraint, COST, poses, *bounds, None, seed, deadline_s=began + budget_s, clock=time.thread_time
+            constraint, COST, poses, *bounds, None, seed, deadline_s=began_s + budget_s, clock=time.thread_time
         )
-        return time.thread_time() - began, path_cost(COST, poses)
+        return time.thread_time() - began_s, path_cost(COST, poses)
 
 
 def problems() -> dict[str, Problem]:
-    """Three large obstacles, eight small ones, a hundred spheres."""
+    """Create the three problems: three large obstacles, eight small ones, a hundred spheres."""
     scenes = simple_scene(), cluttered_scene(), crowded_scene(100, seed=0)
     return {scene.name: Problem(scene) for scene in scenes}
 
 
-def write_problem(problem: Problem, n_samples: int, file: pathlib.Path, with_yaw: bool = True) -> None:
-    """The sampled test of a problem as the harness in C++ reads it."""
-    test = problem.test("sampled", n_samples, by_yaw=with_yaw)
+def write_problem(problem: Problem, n_samples: int, file: pathlib.Path, by_yaw: bool) -> None:
+    """Write the sampled test of a problem in the binary format of the C++ harness."""
+    test = problem.test("sampled", n_samples, by_yaw=by_yaw)
     assert isinstance(test, SampledTest)
     certificates, pool, steps = test
-    lattice, by_yaw = certificates.lattice, certificates.by_yaw
-    numbers = np.array(
-        [
-            *lattice[:3],
-            lattice.per_m,
-            certificates.cells_per_m,
-            UNIT_M,
-            steps.rho_max_m,
-            steps.delta_p_m,
-            steps.need_m,
-            pool.floor,
-            COST.rotation_weight_m2,
-            STEERING_M,
-            GOAL_BIAS,
-            *START,
-            *GOAL,
-            *LOWEST_POSE,
-            *HIGHEST_POSE,
-            by_yaw.bins_per_rad,
-        ],
-        np.float64,
-    )
+    lattice, yaw = certificates.lattice, certificates.by_yaw
+    pose = [*START, *GOAL, *LOWEST_POSE, *HIGHEST_POSE]
+    scale = [*lattice[:3], lattice.per_m, certificates.cells_per_m, UNIT_M]
+    limits = [steps.rho_max_m, steps.delta_p_m, steps.need_m, pool.floor]
+    search = [COST.rotation_weight_m2, STEERING_M, GOAL_BIAS]
+    numbers = np.array([*scale, *limits, *search, *pose, yaw.bins_per_rad], np.float64)
     shape = lattice.nx, lattice.ny, lattice.nz
-    free = by_yaw.free
+    free = yaw.free
     sizes = n_samples, pool.points.shape[1], POOL_SIZE, pool.seed, free.shape[0], free.shape[3]
     counts = np.array([*shape, *certificates.distance.shape, *sizes], np.int64)
     arrays = numbers, counts, certificates.distance, pool.unsafe, pool.points, free

@@ -1,4 +1,4 @@
-"""How often a search asks its segment test, and how often it is refused."""
+"""Count how many segments a search tests, and how many of them are refused."""
 
 from typing import Any, NamedTuple
 
@@ -9,11 +9,9 @@ from deltasafe.compiling import kernel
 from deltasafe.planning import answers_segments, segment_is_safe
 from evidence.benchmarks.planner.problems import Problem
 
-__all__ = ["segments_asked"]
-
 
 class Counted(NamedTuple):
-    """A test, and the numbers of segments asked and refused."""
+    """A segment test with the numbers of tested and refused segments."""
 
     test: Any
     counts: NDArray[np.int64]
@@ -28,10 +26,10 @@ def _segment(counted, start, end):  # type: ignore[no-untyped-def]
     return passed
 
 
-def segments_asked(problem: Problem, iterations: int, repeats: int) -> dict[str, float]:
-    """Means over searches: segments asked (points among them), and the share refused."""
+def segment_counts(problem: Problem, iterations: int, repeats: int) -> dict[str, float]:
+    """Return the mean number of tested segments (points included) per search, and the fraction refused."""
     counted = Counted(problem.test("sampled"), np.zeros(2, np.int64))
     for seed in range(repeats):
         problem.iterations(counted, iterations, seed)
-    asked, refused = counted.counts.tolist()
-    return {"asked": asked / repeats, "refused_share": refused / asked}
+    tested, refused = counted.counts.tolist()
+    return {"asked": tested / repeats, "refused_share": refused / tested}
