@@ -1,4 +1,4 @@
-"""Environments as another project has them: made anew from the wheel and a group of `examples/pyproject.toml`."""
+"""Virtual environments of other projects, made from the built wheel and a group of `examples/pyproject.toml`."""
 
 import dataclasses
 import pathlib
@@ -11,19 +11,17 @@ import zipfile
 from deltasafe.storage import digest_of, read_json, sha256_of_file, write_json
 from pipelines.home import PROJECT
 
-__all__ = ["EXAMPLES", "ConsumerEnvironment", "built_wheel"]
-
 EXAMPLES = PROJECT / "examples"
 
 
 @dataclasses.dataclass(frozen=True)
 class ConsumerEnvironment:
-    """An environment of one dependency group.
+    """A virtual environment of one dependency group.
 
     Attributes:
-        group: of `examples/pyproject.toml`.
-        lacks: packages that must not be importable in it.
-        on_top_of: the environment whose packages it sees too, so that torch is installed once.
+        group: name of the group in `examples/pyproject.toml`.
+        lacks: packages that must not be importable.
+        on_top_of: an environment whose packages are importable too, so that torch is installed once.
     """
 
     group: str
@@ -32,19 +30,19 @@ class ConsumerEnvironment:
 
     @property
     def folder(self) -> pathlib.Path:
-        """Where it lies; may be deleted at any time."""
+        """Folder of the environment; may be deleted at any time."""
         return EXAMPLES / f".venv-{self.group}"
 
     @property
     def python(self) -> pathlib.Path:
-        """Its interpreter."""
+        """Interpreter of the environment."""
         return self.folder / "bin" / "python"
 
     def make(self, wheel: pathlib.Path, torch_index: str = "") -> None:
-        """Install what the group names, ``deltasafe`` from ``wheel``; one that fits is found again.
+        """Install the group, and ``deltasafe`` from ``wheel``; an existing environment is reused if nothing changed.
 
         Raises:
-            subprocess.CalledProcessError: it could not be installed; pip has said why.
+            subprocess.CalledProcessError: the installation failed; pip has printed the reason.
         """
         if self.on_top_of is not None:
             self.on_top_of.make(wheel, torch_index)
@@ -59,7 +57,7 @@ class ConsumerEnvironment:
             self._pip("install", "--upgrade", "pip>=25.1")
             index = ["--extra-index-url", torch_index] if torch_index else []
             if self.on_top_of is not None:
-                self._see(self.on_top_of)
+                self._link(self.on_top_of)
             packages = [f"{wheel}[vision]"] if takes_wheel else []
             group = f"{EXAMPLES / 'pyproject.toml'}:{self.group}"
             self._pip("install", *packages, "--group", group, "-c", str(PROJECT / "constraints.txt"), *index)
@@ -68,12 +66,12 @@ class ConsumerEnvironment:
         write_json(stamp, {"requirements": wanted, "wheel": wanted_wheel})
 
     def run(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
-        """Its interpreter in isolated mode, so that no module comes from the checkout or from `PYTHONPATH`."""
+        """Run the interpreter in isolated mode, so that no module comes from the checkout or from `PYTHONPATH`."""
         command = [str(self.python), "-I", *arguments]
         return subprocess.run(command, capture_output=True, text=True, check=False, cwd=EXAMPLES)
 
-    def intruders(self) -> list[str]:
-        """Packages that it should lack and does not; ``deltasafe`` from somewhere else than the wheel is one, too."""
+    def forbidden_packages(self) -> list[str]:
+        """Return importable packages that it must lack, and ``deltasafe`` if it does not come from the wheel."""
         program = (
             "import importlib.util, sys\n"
             "for name in sys.argv[1:]:\n"
@@ -88,7 +86,7 @@ class ConsumerEnvironment:
             wrong.append(f"deltasafe from {origin['deltasafe'] or 'nowhere'}")
         return wrong
 
-    def _see(self, other: "ConsumerEnvironment") -> None:
+    def _link(self, other: "ConsumerEnvironment") -> None:
         (packages,) = other.folder.glob("lib/python*/site-packages")
         (own,) = self.folder.glob("lib/python*/site-packages")
         (own / "on_top_of.pth").write_text(f"{packages}\n", encoding="utf-8")
@@ -98,10 +96,10 @@ class ConsumerEnvironment:
 
 
 def built_wheel(folder: pathlib.Path) -> pathlib.Path:
-    """The wheel of this checkout, built by itself into ``folder``; nothing is fetched.
+    """Build the wheel of this checkout into ``folder`` without network access.
 
     Raises:
-        subprocess.CalledProcessError: it cannot be built; its ``stderr`` says why.
+        subprocess.CalledProcessError: the build failed; its ``stderr`` has the reason.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as temporary:
@@ -112,7 +110,7 @@ def built_wheel(folder: pathlib.Path) -> pathlib.Path:
 
 
 def _requirements(wheel: pathlib.Path) -> list[str]:
-    """What the wheel says it needs, and the versions that this project takes."""
+    """Return the requirements of the wheel and the pinned versions of this project."""
     with zipfile.ZipFile(wheel) as archive:
         (name,) = [name for name in archive.namelist() if name.endswith(".dist-info/METADATA")]
         metadata = archive.read(name).decode().splitlines()

@@ -1,8 +1,8 @@
-"""`make operation-record` and `make browser-test`: how the project operates, measured and recorded.
+"""Measure and record how the project operates.
 
-python -m evidence.operation share [--run ID]  what orchestration costs, of the last whole run of the home
-python -m evidence.operation tests             new images, a worse ensemble and a rollback, by the tests that do them
-python -m evidence.operation browser           the UI, used by a browser
+share    fraction of the last complete run that orchestration took
+tests    new images, a worse ensemble and a rollback, by the tests of these
+browser  the UI, by the browser tests
 """
 
 import argparse
@@ -16,45 +16,37 @@ from xml.etree import ElementTree
 
 from deltasafe.errors import DataError, DeltasafeError
 from deltasafe.presets import VARIABLE
+from evidence.reporting import command_parser, finish
 from pipelines.home import PROJECT, prepare_home
-from pipelines.records import merge_part
 
-__all__ = ["TESTS", "main", "passed"]
-
+_REGISTRY_TEST = (
+    "tests/pipelines/test_registry.py::test_a_worse_ensemble_is_refused_another_promoted_and_taken_back_by_one_command"
+)
 TESTS = {
     "sensor_to_challenger_passed": "tests/pipelines/test_unattended.py::"
     "test_a_changed_image_becomes_a_new_challenger_and_what_follows_is_made_again",
-    "worse_ensemble_refused": "tests/pipelines/test_registry.py::"
-    "test_a_worse_ensemble_is_refused_another_promoted_and_taken_back_by_one_command",
-    "rollback_passed": "tests/pipelines/test_registry.py::"
-    "test_a_worse_ensemble_is_refused_another_promoted_and_taken_back_by_one_command",
+    "worse_ensemble_refused": _REGISTRY_TEST,
+    "rollback_passed": _REGISTRY_TEST,
 }
-"""Figures, and the test that has to pass for each."""
-
+"""Figures, and the test that must pass for each."""
 BROWSER_TESTS = "tests/browser"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """0 if what was measured is as it has to be."""
-    parser = argparse.ArgumentParser(
-        prog="python -m evidence.operation", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    """Run ``python -m evidence.operation``; 1 if something did not pass."""
+    parser = command_parser("operation", __doc__)
     parser.add_argument("what", choices=("share", "tests", "browser"))
-    parser.add_argument("--run", default="", help="share: id of a run; otherwise the last one of the job `everything`")
-    parser.add_argument("--record", type=pathlib.Path, help="also merge the figures into this file (docs/results/...)")
+    parser.add_argument("--run", default="", help="share: ID of a run; default: the last one of the job `everything`")
     options = parser.parse_args(arguments)
+    measure = {"share": _share, "tests": _tests, "browser": _browser}[options.what]
     try:
-        if options.what == "share":
-            return _share(options.run, options.record)
-        if options.what == "tests":
-            return _tests(options.record)
-        return _browser(options.record)
+        return measure(options)
     except DeltasafeError as error:
         print(error, file=sys.stderr)
         return 1
 
 
-def _share(run_id: str, destination: pathlib.Path | None) -> int:
+def _share(options: argparse.Namespace) -> int:
     root = prepare_home()
 
     import dagster as dg
@@ -62,52 +54,43 @@ def _share(run_id: str, destination: pathlib.Path | None) -> int:
     from evidence.orchestration import times_of_run
 
     with dg.DagsterInstance.get() as instance:
-        whole = dg.RunsFilter(job_name="everything", statuses=[dg.DagsterRunStatus.SUCCESS])
-        runs = [run_id] if run_id else [run.run_id for run in instance.get_runs(whole, limit=1)]
+        complete = dg.RunsFilter(job_name="everything", statuses=[dg.DagsterRunStatus.SUCCESS])
+        runs = [options.run] if options.run else [run.run_id for run in instance.get_runs(complete, limit=1)]
         if not runs:
-            raise DataError(root, "holds no whole run yet; make one with `make demo`")
+            raise DataError(root, "has no complete run yet; make one with `make demo`")
         times = times_of_run(instance, runs[0])
-    minutes = (times.whole[1] - times.whole[0]) / 60
-    print(f"  {times.share:.1%} of {minutes:.1f} minutes were outside the library (MLflow: {times.recording_s:.1f} s)")
-    if destination:
-        merge_part(
-            destination,
-            "orchestration",
-            {"orchestration_share": round(times.share, 4)},
-            command="python -m evidence.operation share",
-            seeds={},
-            preset=os.environ.get(VARIABLE) or "default",
-            run_minutes=round(minutes, 2),
-            recording_s=round(times.recording_s, 2),
-        )
-    return 0
+    minutes = (times.run_s[1] - times.run_s[0]) / 60
+    print(f"{times.share:.1%} of {minutes:.1f} minutes were outside the library (MLflow: {times.recording_s:.1f} s)")
+    return finish(
+        options,
+        {"orchestration_share": round(times.share, 4)},
+        part="orchestration",
+        command="python -m evidence.operation share",
+        preset=os.environ.get(VARIABLE) or "default",
+        run_minutes=round(minutes, 2),
+        recording_s=round(times.recording_s, 2),
+    )
 
 
-def _tests(destination: pathlib.Path | None) -> int:
-    outcomes = passed(sorted(set(TESTS.values())))
+def _tests(options: argparse.Namespace) -> int:
+    outcomes = outcomes_of(sorted(set(TESTS.values())))
     figures = {figure: outcomes.get(test.rpartition("::")[2], False) for figure, test in TESTS.items()}
-    for figure, fine in figures.items():
-        print(f"  {figure:30s} {fine}")
-    if destination:
-        command = "python -m evidence.operation tests"
-        merge_part(destination, "tests", figures, command=command, seeds={}, tests=TESTS)
-    return 0 if all(figures.values()) else 1
+    failures = [f"{figure}: {TESTS[figure]} did not pass" for figure, passed in figures.items() if not passed]
+    return finish(options, figures, failures, part="tests", command="python -m evidence.operation tests", tests=TESTS)
 
 
-def _browser(destination: pathlib.Path | None) -> int:
-    outcomes = passed([BROWSER_TESTS], "-v", "-s")
-    fine = bool(outcomes) and all(outcomes.values())
-    if not fine:
-        print(f"not passed: {', '.join(name for name, one in outcomes.items() if not one) or 'nothing was run'}")
-    if destination:
-        command = "make browser-test RECORD=docs/results/operation.json"
-        figures = {"browser_test_passed": fine}
-        merge_part(destination, "browser", figures, command=command, seeds={}, tests=sorted(outcomes))
-    return 0 if fine else 1
+def _browser(options: argparse.Namespace) -> int:
+    outcomes = outcomes_of([BROWSER_TESTS], "-v", "-s")
+    failures = [f"{name} did not pass" for name, passed in outcomes.items() if not passed]
+    if not outcomes:
+        failures = ["no browser test was run"]
+    figures = {"browser_test_passed": not failures}
+    command = "make browser-test RECORD=docs/results/operation.json"
+    return finish(options, figures, failures, part="browser", command=command, tests=sorted(outcomes))
 
 
-def passed(tests: Sequence[str], *options: str) -> dict[str, bool]:
-    """Run tests in a process of their own; by name whether each passed. One that was skipped did not."""
+def outcomes_of(tests: Sequence[str], *options: str) -> dict[str, bool]:
+    """Run tests in a separate process; return for each whether it passed. A skipped test did not pass."""
     with tempfile.TemporaryDirectory() as folder:
         report = pathlib.Path(folder) / "report.xml"
         command = [sys.executable, "-m", "pytest", *options, f"--junit-xml={report}", *tests]

@@ -1,4 +1,4 @@
-"""What orchestration costs: the share of a run in which none of its steps was at work in the library."""
+"""Cost of orchestration: the fraction of a run's time in which no step was working in the library."""
 
 import dataclasses
 import re
@@ -9,74 +9,72 @@ import dagster as dg
 from deltasafe.errors import DataError
 from pipelines.tracking import RECORDED
 
-__all__ = ["RunTimes", "outside_of", "times_of_run"]
-
-_BUSY = re.compile(rf"{re.escape(RECORDED)} ([0-9.]+) s$")
-_READY = (dg.DagsterEventType.STEP_START, dg.DagsterEventType.STEP_INPUT)
+_RECORDING = re.compile(rf"{re.escape(RECORDED)} ([0-9.]+) s$")
+_WORK_STARTS = (dg.DagsterEventType.STEP_START, dg.DagsterEventType.STEP_INPUT)
 
 Interval = tuple[float, float]
 
 
 @dataclasses.dataclass(frozen=True)
 class RunTimes:
-    """When a run and its steps worked, in seconds since the epoch.
+    """Times of a run, in seconds since the epoch.
 
     Attributes:
-        whole: from the creation of the run to its end.
-        work: of every step, from its inputs being read to its result being handed over, less what MLflow took.
-        recording_s: what MLflow took, of all steps together.
+        run_s: from the creation of the run to its end.
+        work_s: per step, from reading its inputs to returning its result, without the calls of MLflow.
+        recording_s: duration of all calls of MLflow.
     """
 
-    whole: Interval
-    work: tuple[Interval, ...]
+    run_s: Interval
+    work_s: tuple[Interval, ...]
     recording_s: float
 
     @property
     def share(self) -> float:
-        """Share of the whole outside all work: processes that start, waiting, Dagster's events, the recording."""
-        return outside_of(self.whole, self.work) / (self.whole[1] - self.whole[0])
+        """Return the fraction of the run outside all work: process starts, waiting, Dagster's events, MLflow."""
+        return time_outside(self.run_s, self.work_s) / (self.run_s[1] - self.run_s[0])
 
 
 def times_of_run(instance: dg.DagsterInstance, run_id: str) -> RunTimes:
-    """Read the times of a run that has ended from its event log.
+    """Read the times of a finished run from its event log.
 
     Raises:
-        DataError: there is no such run, or it goes on.
+        DataError: there is no such run, or it has not ended.
     """
     record = instance.get_run_record_by_id(run_id)
     if record is None or record.end_time is None:
-        raise DataError(f"run {run_id}", "is not known or has not ended; name one that has")
-    ready: dict[str, float] = {}
-    recorded: dict[str, list[Interval]] = {}
+        raise DataError(f"run {run_id}", "is unknown or has not ended; name one that has")
+    started: dict[str, float] = {}
+    recordings: dict[str, list[Interval]] = {}
     work: list[Interval] = []
     for entry in instance.all_logs(run_id):
         step, event = entry.step_key, entry.dagster_event
         if step is None:
             continue
         if event is None:
-            match = _BUSY.search(entry.user_message)
+            match = _RECORDING.search(entry.user_message)
             if match:
-                recorded.setdefault(step, []).append((entry.timestamp - float(match.group(1)), entry.timestamp))
-        elif event.event_type in _READY:
-            ready[step] = entry.timestamp
-        elif event.event_type == dg.DagsterEventType.STEP_OUTPUT and step in ready:
-            work += _without((ready.pop(step), entry.timestamp), recorded.get(step, []))
-    recording_s = sum(ended - began for each in recorded.values() for began, ended in each)
+                recordings.setdefault(step, []).append((entry.timestamp - float(match.group(1)), entry.timestamp))
+        elif event.event_type in _WORK_STARTS:
+            started[step] = entry.timestamp
+        elif event.event_type == dg.DagsterEventType.STEP_OUTPUT and step in started:
+            work += _without((started.pop(step), entry.timestamp), recordings.get(step, []))
+    recording_s = sum(end - begin for intervals in recordings.values() for begin, end in intervals)
     return RunTimes((record.create_timestamp.timestamp(), record.end_time), tuple(work), recording_s)
 
 
-def outside_of(whole: Interval, work: Iterable[Interval]) -> float:
-    """Seconds of ``whole`` that lie in no interval of ``work``, which may overlap."""
+def time_outside(whole: Interval, intervals: Iterable[Interval]) -> float:
+    """Return the seconds of ``whole`` that no interval covers; intervals may overlap."""
     outside_s, until = 0.0, whole[0]
-    for began, ended in sorted(work):
-        outside_s += max(0.0, min(began, whole[1]) - until)
-        until = max(until, min(ended, whole[1]))
+    for begin, end in sorted(intervals):
+        outside_s += max(0.0, min(begin, whole[1]) - until)
+        until = max(until, min(end, whole[1]))
     return outside_s + whole[1] - until
 
 
 def _without(interval: Interval, removed: Iterable[Interval]) -> list[Interval]:
     pieces = [interval]
-    for began, ended in removed:
-        halves = [half for a, b in pieces for half in ((a, min(b, began)), (max(a, ended), b))]
+    for begin, end in removed:
+        halves = [half for a, b in pieces for half in ((a, min(b, begin)), (max(a, end), b))]
         pieces = [(a, b) for a, b in halves if a < b]
     return pieces

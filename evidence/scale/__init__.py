@@ -1,1 +1,1 @@
-"""Runs on a simulated Ray cluster of two hosts, compared with runs on one machine: ``python -m evidence.scale``."""
+"""Runs on a Ray cluster of two hosts, compared with runs on one machine: ``python -m evidence.scale``."""

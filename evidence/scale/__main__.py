@@ -1,14 +1,13 @@
-"""`make scale`: the same work on a Ray cluster of two hosts and on one machine. Same results? And what if a host dies?
+"""Do the same work on a Ray cluster of two hosts and on one machine, and compare digests; kill processes and hosts.
 
-chain       the smoke chain, its steps as jobs of the cluster: augmented set, members, ensemble, motions, executions
-study       a study of a thousand plans: here, on one host, on two, and on two of which one is killed
-driver      a process that has given work to the cluster and is killed: the work ends as well
+study       a study of a thousand plans: on this machine, on one host, on two hosts, and with kills
+driver      a process that gave work to the cluster is killed: the work must end as well
 concurrent  two runs of one job at the same time
-costs       of an augmented image, which no other record has; for docs/scaling.md
+chain       the smoke chain with its steps as jobs of the cluster: data, members, ensemble, motions, executions
+costs       time and size of an augmented image, for docs/scaling.md
 """
 
 import argparse
-import contextlib
 import dataclasses
 import os
 import pathlib
@@ -24,253 +23,224 @@ from deltasafe.planner_study import ComparisonSettings, compare, contenders
 from deltasafe.presets import VARIABLE
 from deltasafe.progress import Progress, silent
 from deltasafe.ray_engine import RayEngine, RaySettings
-from deltasafe.storage import digest_of, read_json, write_json
-from evidence.scale.checks import augmentation_costs, both_ran, chain_digests, megabytes, study_digest
-from evidence.scale.local_cluster import LocalCluster, apart
+from deltasafe.storage import digest_of, read_json
+from evidence.reporting import command_parser, finish
+from evidence.scale.checks import augmentation_costs, chain_digests, check_both_ran, megabytes, study_digest
+from evidence.scale.local_cluster import LocalCluster, enter_namespaces
 from pipelines.engines import ADDRESS, ENGINE, STEPS
 from pipelines.home import PROJECT, set_quiet_environment
 
-__all__ = ["main"]
-
 PARTS = ("study", "driver", "concurrent", "chain", "costs")
-_HOSTS = 2
-_PATIENCE_S = 300.0
+MUST_HOLD = ("digests_equal", "killed_worker_completed", "killed_driver_left_nothing", "concurrent_runs_both_ran")
+N_HOSTS = 2
+TIMEOUT_S = 300.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """0 if everything that was asked for held."""
+    """Run ``python -m evidence.scale``."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    parser = argparse.ArgumentParser(
-        prog="python -m evidence.scale", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="all of them by default")
-    parser.add_argument("--runs", type=int, default=6, help="of a method, scene and level: 6 make 1064 plans")
-    parser.add_argument("--iterations", type=int, default=5000, help="of a plan (default 5000)")
-    parser.add_argument("--steps", choices=("local", "ray"), default="ray", help="chain: where its steps are (ray)")
-    parser.add_argument("--record", type=pathlib.Path, help="also merge the figures into this file (docs/results/...)")
-    parser.add_argument("--out", type=pathlib.Path, help="also write the figures to this file, and nothing else")
+    parser = command_parser("scale", __doc__)
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="default: all")
+    parser.add_argument("--runs", type=int, default=6, help="per method, scene and level (default 6: 1064 plans)")
+    parser.add_argument("--iterations", type=int, default=5000, help="per plan (default 5000)")
+    parser.add_argument("--steps", choices=("local", "ray"), default="ray", help="chain: where steps run (default ray)")
     options = parser.parse_args(given)
     set_quiet_environment()
-    # sums over several threads are other sums: one a process, here as there
+    # one thread per process, because the order of floating-point sums depends on the number of threads
     os.environ.update({"OMP_NUM_THREADS": "1", VARIABLE: "smoke"})
     try:
         if set(options.parts) == {"costs"}:
-            figures = _costs()
+            figures = augmentation_costs()
         else:
-            apart("evidence.scale", given)
-            figures = _measured(options)
+            enter_namespaces("evidence.scale", given)
+            figures = _measure(options)
     except DeltasafeError as error:
         print(f"scale: {error}", file=sys.stderr)
         return 1
-    for name, value in figures.items():
-        print(f"  {name:30s} {value:g}")
-    if options.out:
-        write_json(options.out, figures)
-    if options.record:
-        _record(options, figures)
-    return 0 if all(figures.get(name, 1) for name in _HELD) else 1
+    return _record(options, figures)
 
 
-_HELD = ("digests_equal", "killed_worker_completed", "killed_driver_left_nothing", "concurrent_runs_both_ran")
+def _measure(options: argparse.Namespace) -> dict[str, float]:
+    with tempfile.TemporaryDirectory(prefix="deltasafe-scale-") as name:
+        jobs = "concurrent" in options.parts or ("chain" in options.parts and options.steps == "ray")
+        with LocalCluster(jobs) as cluster:
+            try:
+                return _measure_on(cluster, options, pathlib.Path(name))
+            finally:
+                RayEngine().disconnect()  # Ray ends a process whose cluster is gone
 
 
-def _measured(options: argparse.Namespace) -> dict[str, float]:
-    figures: dict[str, float] = {"workers": _HOSTS}
-    same: list[bool] = []
-    jobs = "concurrent" in options.parts or ("chain" in options.parts and options.steps == "ray")
-    disconnect = RayEngine().disconnect
-    with (
-        tempfile.TemporaryDirectory(prefix="deltasafe-scale-") as name,
-        LocalCluster(jobs) as cluster,
-        contextlib.ExitStack() as first,
-    ):
-        first.callback(disconnect)  # Ray ends a process whose cluster is gone
-        folder = pathlib.Path(name)
+def _measure_on(cluster: LocalCluster, options: argparse.Namespace, folder: pathlib.Path) -> dict[str, float]:
+    figures: dict[str, float] = {"workers": N_HOSTS}
+    equal: list[bool] = []
+    study = Study(options.runs, options.iterations, folder, cluster)
+    cluster.add_host()
+    if "study" in options.parts:
+        found, same = study.compare_hosts()
+        figures |= found
+        equal.append(same)
+    else:
         cluster.add_host()
-        if "study" in options.parts:
-            settings = ComparisonSettings(
-                n_levels=14, n_runs=options.runs, n_runs_beside=2, n_iterations=options.iterations
-            )
-            found, alike = _study(settings, folder, cluster)
-            figures |= found
-            same.append(alike)
-        else:
-            cluster.add_host()
-        if "driver" in options.parts:
-            figures["killed_driver_left_nothing"] = _driver(cluster)
-        if "concurrent" in options.parts:
-            figures["concurrent_runs_both_ran"] = _concurrent(folder / "concurrent", cluster)
-        if "chain" in options.parts:
-            found, alike = _chain(folder, cluster, options.steps)
-            figures |= found
-            same.append(alike)
-        if "costs" in options.parts:
-            figures |= _costs()
-        if "study" in options.parts:  # last, since it leaves one host
-            figures["killed_worker_completed"] = _killed(settings, folder, cluster)
-    if same:
-        figures["digests_equal"] = all(same)
+    if "driver" in options.parts:
+        figures["killed_driver_left_nothing"] = _kill_driver(cluster)
+    if "concurrent" in options.parts:
+        figures["concurrent_runs_both_ran"] = _run_concurrently(folder / "concurrent", cluster)
+    if "chain" in options.parts:
+        found, same = _compare_chains(folder, cluster, options.steps)
+        figures |= found
+        equal.append(same)
+    if "costs" in options.parts:
+        figures |= augmentation_costs()
+    if "study" in options.parts:  # last, because it leaves one host
+        figures["killed_worker_completed"] = study.survives_kills()
+    if equal:
+        figures["digests_equal"] = all(equal)
     return {name: float(value) for name, value in figures.items()}
 
 
-def _costs() -> dict[str, float]:
-    with tempfile.TemporaryDirectory(prefix="deltasafe-scale-") as name:
-        return augmentation_costs(pathlib.Path(name))
+class Study:
+    """A planner study that runs on this machine and on the cluster."""
+
+    def __init__(self, n_runs: int, n_iterations: int, folder: pathlib.Path, cluster: LocalCluster) -> None:
+        self.settings = ComparisonSettings(n_levels=14, n_runs=n_runs, n_runs_beside=2, n_iterations=n_iterations)
+        per_level = sum(n_runs if method.is_main else 2 for method in contenders(self.settings))
+        self.n_plans = 2 * self.settings.n_levels * per_level
+        self.folder, self.cluster = folder, cluster
+
+    def compare_hosts(self) -> tuple[dict[str, float], bool]:
+        """Run on this machine, on one host and on two; return figures and whether the digests are equal."""
+        engine = RayEngine(RaySettings(self.cluster.address))
+        local, _ = self._run("local", LOCAL)
+        self._warm_up("warm-1", engine)
+        one, one_s = self._run("one-host", engine)
+        self.cluster.add_host()
+        deadline = time.monotonic() + TIMEOUT_S
+        while engine.width(1) < N_HOSTS and time.monotonic() < deadline:
+            time.sleep(0.2)
+        self._warm_up("warm-2", engine)
+        two, two_s = self._run("two-hosts", engine)
+        figures = {
+            "plans": self.n_plans,
+            "speedup": round(one_s / two_s, 3),
+            "one_host_s": round(one_s, 2),
+            "two_hosts_s": round(two_s, 2),
+        }
+        return figures, local == one == two
+
+    def survives_kills(self) -> bool:
+        """Kill a worker process in the first half of the study and then a host; tell whether the plans are the same."""
+        engine, left = RayEngine(RaySettings(self.cluster.address)), ["process", "host"]
+
+        def kill(done: int, total: int, message: str) -> None:
+            if "process" in left and 0 < done < total / 2 and self.cluster.kill_a_worker():
+                left.remove("process")
+            if "host" in left and done >= total / 2:
+                self.cluster.kill_host(N_HOSTS - 1)
+                left.remove("host")
+                print(f"  a host was killed after {done} of {total} batches", flush=True)
+
+        digest, _ = self._run("killed", engine, kill)
+        local, _ = self._run("local", LOCAL)  # reads the stored batches
+        return digest == local and not left
+
+    def _run(self, name: str, engine: Engine, progress: Progress = silent) -> tuple[str, float]:
+        began_s = time.monotonic()
+        digest = study_digest(compare(self.settings, self.folder / name, 1, progress, engine))
+        took_s = time.monotonic() - began_s
+        print(f"  {self.n_plans} plans, {name}: {took_s:.1f} s, digest {digest[:16]}", flush=True)
+        return digest, took_s
+
+    def _warm_up(self, name: str, engine: RayEngine) -> None:
+        """Let every worker load and compile what it needs."""
+        few = dataclasses.replace(self.settings, n_levels=2 * N_HOSTS, n_runs=2, n_runs_beside=2, n_iterations=50)
+        compare(few, self.folder / name, 1, silent, engine)
 
 
-def _study(settings: ComparisonSettings, folder: pathlib.Path, cluster: LocalCluster) -> tuple[dict[str, float], bool]:
-    engine = RayEngine(RaySettings(cluster.address))
-    here, _ = _timed("here", settings, folder, LOCAL)
-    _warm(settings, folder / "warm-1", engine)
-    one, alone_s = _timed("one host", settings, folder, engine)
-    cluster.add_host()
-    _wait_for_hosts(engine)
-    _warm(settings, folder / "warm-2", engine)
-    two, together_s = _timed("two hosts", settings, folder, engine)
-    print(f"  speed-up of two hosts over one: {alone_s / together_s:.2f}", flush=True)
-    figures = {
-        "plans": _plans(settings),
-        "speedup": round(alone_s / together_s, 3),
-        "one_host_s": round(alone_s, 2),
-        "two_hosts_s": round(together_s, 2),
-    }
-    return figures, here == one == two
-
-
-def _killed(settings: ComparisonSettings, folder: pathlib.Path, cluster: LocalCluster) -> bool:
-    """A process of a task in the first third of the study, and all processes of a host after the half."""
-    engine, left = RayEngine(RaySettings(cluster.address)), ["a process", "a host"]
-
-    def strike(done: int, total: int, message: str) -> None:
-        if "a process" in left and 0 < done < total / 2 and cluster.kill_a_worker():
-            left.remove("a process")
-        if "a host" in left and done >= total / 2:
-            cluster.kill_host(_HOSTS - 1)
-            left.remove("a host")
-            print(f"  a host was killed after {done} of {total} batches", flush=True)
-
-    digest, _ = _timed("killed", settings, folder, engine, strike)
-    here, _ = _timed("here", settings, folder, LOCAL)  # is found
-    return digest == here and not left
-
-
-def _timed(
-    name: str, settings: ComparisonSettings, folder: pathlib.Path, engine: Engine, progress: Progress = silent
-) -> tuple[str, float]:
-    began_s = time.monotonic()
-    digest = study_digest(compare(settings, folder / name.replace(" ", "-"), 1, progress, engine))
-    took_s = time.monotonic() - began_s
-    print(f"  {_plans(settings)} plans, {name}: {took_s:.1f} s, digest {digest[:16]}", flush=True)
-    return digest, took_s
-
-
-def _plans(settings: ComparisonSettings) -> int:
-    per_level = sum(settings.n_runs if one.is_main else settings.n_runs_beside for one in contenders(settings))
-    return 2 * settings.n_levels * per_level
-
-
-def _warm(settings: ComparisonSettings, folder: pathlib.Path, engine: Engine) -> None:
-    """Every worker has loaded and compiled what it needs."""
-    few = dataclasses.replace(settings, n_levels=2 * _HOSTS, n_runs=2, n_runs_beside=2, n_iterations=50)
-    compare(few, folder, 1, silent, engine)
-
-
-def _wait_for_hosts(engine: RayEngine) -> None:
-    until_s = time.monotonic() + _PATIENCE_S
-    while engine.width(1) < _HOSTS and time.monotonic() < until_s:
-        time.sleep(0.2)
-
-
-def _driver(cluster: LocalCluster) -> bool:
+def _kill_driver(cluster: LocalCluster) -> bool:
+    """Kill a process that gave work to the cluster; tell whether the work ended."""
     program = (
         "import time; from deltasafe.engine import Task; from deltasafe.ray_engine import RayEngine, RaySettings; "
         f"list(RayEngine(RaySettings('{cluster.address}')).run([Task('sleep', time.sleep, (3600.0,))], 1))"
     )
     driver = subprocess.Popen([sys.executable, "-c", program], cwd=PROJECT)
-    until_s = time.monotonic() + _PATIENCE_S
-    while not (busy := cluster.at_work()) and driver.poll() is None and time.monotonic() < until_s:
+    deadline = time.monotonic() + TIMEOUT_S
+    while not (before := cluster.busy_pids()) and driver.poll() is None and time.monotonic() < deadline:
         time.sleep(0.2)
     driver.kill()
     driver.wait()
-    while cluster.at_work() and time.monotonic() < until_s:
+    while (after := cluster.busy_pids()) and time.monotonic() < deadline:
         time.sleep(0.2)
-    print(f"  a killed driver: {len(busy)} at work before, {len(cluster.at_work())} after", flush=True)
-    return bool(busy) and not cluster.at_work()
+    print(f"  killed driver: {len(before)} busy workers before, {len(after)} after", flush=True)
+    return bool(before) and not after
 
 
-def _on_the_cluster(cluster: LocalCluster, home: pathlib.Path) -> dict[str, str]:
-    chosen = {ENGINE: "ray", ADDRESS: cluster.address, STEPS: "ray"}
+def _on_cluster(cluster: LocalCluster, home: pathlib.Path, steps: str) -> dict[str, str]:
+    chosen = {ENGINE: "ray", ADDRESS: cluster.address, STEPS: steps}
     return {**os.environ, **chosen, "DELTASAFE_HOME": str(home)}
 
 
-def _concurrent(home: pathlib.Path, cluster: LocalCluster) -> bool:
-    environment = _on_the_cluster(cluster, home)
-    program = "import sys; from evidence.scale.checks import run_study; sys.exit(run_study(int(sys.argv[1])))"
-    subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "from pipelines.home import prepare_home; prepare_home(); "
-            "import dagster as dg; dg.DagsterInstance.get().dispose()",
-        ],
-        cwd=PROJECT,
-        env=environment,
-        check=True,
-    )
-    command = [sys.executable, "-c", program]
+def _run_concurrently(home: pathlib.Path, cluster: LocalCluster) -> bool:
+    """Run the planner study twice at the same time in one home; tell whether both ran."""
+    environment = _on_cluster(cluster, home, "ray")
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from evidence.scale import checks; sys.exit(checks.run(sys.argv[1:]))",
+    ]
+    subprocess.run([*command, "prepare"], cwd=PROJECT, env=environment, check=True)
     runs = [subprocess.Popen([*command, str(seed)], cwd=PROJECT, env=environment) for seed in (0, 1000)]
-    ended = [run.wait() for run in runs]
-    evidence = both_ran(home)
-    for line in evidence.lines:
+    statuses = [run.wait() for run in runs]
+    holds, lines = check_both_ran(home)
+    for line in lines:
         print(f"  {line}", flush=True)
-    return ended == [0, 0] and evidence.holds
+    return statuses == [0, 0] and holds
 
 
-def _chain(folder: pathlib.Path, cluster: LocalCluster, steps: str) -> tuple[dict[str, float], bool]:
-    made: list[dict[str, str]] = []
+def _compare_chains(folder: pathlib.Path, cluster: LocalCluster, steps: str) -> tuple[dict[str, float], bool]:
+    """Run the smoke chain on the cluster and on this machine; return figures and whether the digests are equal."""
+    digests: list[dict[str, str]] = []
     figures: dict[str, float] = {}
     for name in ("cluster", "single"):
         home = folder / f"chain-{name}"
-        alone = {**os.environ, "DELTASAFE_HOME": str(home)}
-        environment = _on_the_cluster(cluster, home) | {STEPS: steps} if name == "cluster" else alone
+        local = {**os.environ, "DELTASAFE_HOME": str(home)}
+        environment = _on_cluster(cluster, home, steps) if name == "cluster" else local
         began_s = time.monotonic()
-        said = subprocess.run(
-            [sys.executable, "-m", "pipelines.demo"], cwd=PROJECT, env=environment, stderr=subprocess.PIPE, check=False
-        )
-        if said.returncode:
-            sys.stderr.write(said.stderr.decode(errors="replace")[-4000:])
+        command = [sys.executable, "-m", "pipelines.demo"]
+        run = subprocess.run(command, cwd=PROJECT, env=environment, stderr=subprocess.PIPE, check=False)
+        if run.returncode:
+            sys.stderr.write(run.stderr.decode(errors="replace")[-4000:])
             return figures, False
-        made.append(chain_digests(home))
+        digests.append(chain_digests(home))
         figures[f"chain_{name}_s"] = round(time.monotonic() - began_s, 1)
         figures |= {f"chain_{what}_mb": round(megabytes(home / what), 2) for what in ("dagster", "mlflow")}
-        print(f"  smoke chain, {name}: {figures[f'chain_{name}_s']:.0f} s, {digest_of(made[-1])[:16]}", flush=True)
-    different = [what for what in made[0] if made[0][what] != made[1].get(what)]
-    print(f"  {len(made[0])} things made, {len(different)} of them differ: {', '.join(different)}", flush=True)
-    return figures, made[0] == made[1]
+        print(f"  smoke chain, {name}: {figures[f'chain_{name}_s']:.0f} s, {digest_of(digests[-1])[:16]}", flush=True)
+    different = [name for name in digests[0] if digests[0][name] != digests[1].get(name)]
+    print(f"  {len(digests[0])} artifacts, {len(different)} of them differ: {', '.join(different)}", flush=True)
+    return figures, digests[0] == digests[1]
 
 
-def _record(options: argparse.Namespace, figures: dict[str, float]) -> None:
-    """Parts may be measured one by one; all of them together replace whatever was recorded."""
-    from pipelines.records import merge_part
-
-    whole = set(options.parts) == set(PARTS)
-    if whole:
+def _record(options: argparse.Namespace, figures: dict[str, float]) -> int:
+    """Record the figures; all parts together replace the record, single parts are merged into it."""
+    name = " ".join(options.parts)
+    command = f"python -m evidence.scale --parts {name} --steps {options.steps}"
+    failures = [f"{figure} does not hold" for figure in MUST_HOLD if not figures.get(figure, 1)]
+    if options.record and set(options.parts) == set(PARTS):
         options.record.unlink(missing_ok=True)
-    name = "scale" if whole else " ".join(options.parts)
-    earlier = read_json(options.record)["parts"] if options.record.is_file() else {}
-    others = [part["figures"].get("digests_equal", 1.0) for other, part in earlier.items() if other != name]
-    if "digests_equal" in figures:
+        name, command = "scale", "make scale"
+    if options.record and options.record.is_file() and "digests_equal" in figures:
+        earlier = read_json(options.record)["parts"]
+        others = [part["figures"].get("digests_equal", 1.0) for other, part in earlier.items() if other != name]
         figures = figures | {"digests_equal": min(figures["digests_equal"], *others, 1.0)}
-    merge_part(
-        options.record,
-        name,
+    return finish(
+        options,
         figures,
-        command="make scale" if whole else f"python -m evidence.scale --parts {name} --steps {options.steps}",
+        failures,
+        part=name,
+        command=command,
         seeds={"plans_from": 0},
         hosts="network namespaces on one machine, one core each",
         iterations=options.iterations,
         steps_of_the_chain=options.steps,
-        load_1min=round(os.getloadavg()[0], 2),
     )
 
 

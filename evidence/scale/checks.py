@@ -1,32 +1,26 @@
-"""What `make scale` looks at: digests of all that was made, and what two runs at once left in Dagster's log."""
+"""Digests of everything that a chain or a study makes, and the check of two concurrent runs in Dagster's event log."""
 
 import dataclasses
 import hashlib
 import pathlib
+import tempfile
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
+import dagster as dg
 import numpy as np
 
 from deltasafe.planner_study import Comparison
 from deltasafe.storage import digest_of
+from evidence.fixtures import first_hands
+from pipelines.home import DATASETS
 
-if TYPE_CHECKING:
-    import dagster as dg
-
-__all__ = ["Evidence", "augmentation_costs", "both_ran", "chain_digests", "megabytes", "run_study", "study_digest"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Evidence:
-    """Whether something holds, and what was seen of it."""
-
-    holds: bool
-    lines: tuple[str, ...]
+STUDY_ASSETS = {"planner_costs", "planner_times", "planner_report"}
 
 
 def study_digest(study: Comparison) -> str:
-    """SHA-256 over all plans, without the times that they took."""
+    """Return the SHA-256 of all plans, without their times."""
     state = hashlib.sha256(digest_of(study.settings).encode())
     for name, values in sorted(study.runs.items()):
         if name != "seconds":
@@ -35,9 +29,7 @@ def study_digest(study: Comparison) -> str:
 
 
 def chain_digests(home: pathlib.Path) -> dict[str, str]:
-    """Of the augmented set, the members, the frozen ensemble, every planned motion and every execution."""
-    import dagster as dg
-
+    """Return digests of the augmented set, the members, the frozen ensemble, every motion and every execution."""
     from assets.perception import members
     from deltasafe.perception.augmented_set import AugmentedSet
     from deltasafe.perception.member import Member
@@ -45,104 +37,116 @@ def chain_digests(home: pathlib.Path) -> dict[str, str]:
     from deltasafe.trials.motions import load_motion
     from pipelines.io import FolderPointers
 
-    folder = FolderPointers(home=str(home)).folder
+    pointers = FolderPointers(home=str(home))
 
-    def made(asset: str, partition: str | None = None) -> pathlib.Path:
-        return folder(dg.AssetKey(asset), partition)
+    def folder(asset: str, partition: str | None = None) -> pathlib.Path:
+        return pointers.folder(dg.AssetKey(asset), partition)
 
     found = {
-        "augmented set": AugmentedSet.load(made("augmented_hands")).digest,
-        "frozen ensemble": made("frozen_ensemble").name,
-        "ensemble in use": made("champion").name,
+        "augmented set": AugmentedSet.load(folder("augmented_hands")).digest,
+        "frozen ensemble": folder("frozen_ensemble").name,
+        "ensemble in use": folder("champion").name,
     }
     for name in members.get_partition_keys():
-        found[name] = str(Member.load(made("ensemble_member", name)).record["weights_sha256"])
-    motions, executions = made("planned_motions"), made("executed_motions")
+        found[name] = str(Member.load(folder("ensemble_member", name)).record["weights_sha256"])
+    motions, executions = folder("planned_motions"), folder("executed_motions")
     for outcome in load_outcomes(executions):
         motion = load_motion(motions, outcome.scene_id).trajectory
         arrays: Any = [] if motion is None else [motion.time_s, motion.poses, motion.velocities]
         found[f"motion of {outcome.scene_id}"] = digest_of([np.asarray(array).tobytes().hex() for array in arrays])
-        run = load_execution(executions, outcome.scene_id).digest() if outcome.executed else outcome.reason
-        found[f"execution of {outcome.scene_id}"] = run
+        digest = load_execution(executions, outcome.scene_id).digest() if outcome.executed else outcome.reason
+        found[f"execution of {outcome.scene_id}"] = digest
     return found
 
 
-def augmentation_costs(folder: pathlib.Path) -> dict[str, float]:
-    """CPU seconds, and megabytes on disk, that one more augmented image takes in two presets; of three originals."""
+def augmentation_costs() -> dict[str, float]:
+    """Return CPU seconds and megabytes of one more augmented image in two presets, measured with three originals."""
     from deltasafe.perception.augmented_set import write_augmented_set
-    from deltasafe.perception.hands import HandSet
     from deltasafe.presets import PRESETS
-    from pipelines.home import DATASETS
 
-    hands = HandSet.load(DATASETS / "hands" / "train")
-    few, found = dataclasses.replace(hands, items=hands.items[:3], pixel_digests=hands.pixel_digests[:3]), {}
-    for name in ("default", "paper"):
-        took = []
-        for n_variants in (1, 21):
-            settings = dataclasses.replace(PRESETS[name].augmentation, n_variants=n_variants)
-            began_s, made = time.process_time(), folder / f"{name}-{n_variants}"
-            write_augmented_set(few, DATASETS / "backgrounds", settings, made, workers=1)
-            took.append((time.process_time() - began_s, megabytes(made)))
-        for index, what in enumerate(("augmentation_cpu_s", "augmented_mb")):
-            found[f"{what}_{name}"] = round((took[1][index] - took[0][index]) / (20 * len(few)), 4)
+    hands, found = first_hands(3), {}
+    with tempfile.TemporaryDirectory(prefix="deltasafe-scale-") as folder:
+        for name in ("default", "paper"):
+            costs = []
+            for n_variants in (1, 21):
+                settings = dataclasses.replace(PRESETS[name].augmentation, n_variants=n_variants)
+                began_s, made = time.process_time(), pathlib.Path(folder) / f"{name}-{n_variants}"
+                write_augmented_set(hands, DATASETS / "backgrounds", settings, made, workers=1)
+                costs.append((time.process_time() - began_s, megabytes(made)))
+            for index, what in enumerate(("augmentation_cpu_s", "augmented_mb")):
+                found[f"{what}_{name}"] = round((costs[1][index] - costs[0][index]) / (20 * len(hands)), 4)
     return found
 
 
 def megabytes(folder: pathlib.Path) -> float:
-    """Of all files below ``folder``."""
+    """Return the size of all files below a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6
 
 
-def run_study(first_seed: int) -> int:
-    """One run of the job `planner_study` in the home that the environment names; 0 if it succeeded."""
-    import dagster as dg
+def run(arguments: Sequence[str]) -> int:
+    """Run the job `planner_study` with a first seed in the home of the environment, or only prepare the home.
 
+    Args:
+        arguments: the first seed, or ``prepare``; preparing before concurrent runs creates Dagster's database once.
+    """
     from pipelines.home import prepare_home
     from pipelines.planner_study import planner_study
     from pipelines.running import succeeded
 
     prepare_home()
-    steps = {name: {"study": {"first_seed": first_seed}} for name in ("planner_costs", "planner_times")}
+    if arguments[0] == "prepare":
+        dg.DagsterInstance.get().dispose()
+        return 0
+    study = {"study": {"first_seed": int(arguments[0])}}
+    steps = {name: study for name in ("planner_costs", "planner_times")}
     return 0 if succeeded(dg.reconstructable(planner_study), steps, "the same command") else 1
 
 
-def both_ran(home: pathlib.Path) -> Evidence:
-    """Two runs of the planner study: at the same time, each with its own steps, batches and materialisations."""
-    import dagster as dg
+def check_both_ran(home: pathlib.Path) -> tuple[bool, list[str]]:
+    """Check that two planner studies ran at the same time, each with its own steps, jobs, batches and assets.
 
-    lines, spans, jobs, made = [], [], set(), []
+    Returns the result and lines that explain it.
+    """
+    lines, spans, jobs, complete = [], [], set(), []
     with dg.DagsterInstance.from_config(str(home / "dagster")) as instance:
         for record in instance.get_run_records(dg.RunsFilter(job_name="planner_study")):
-            run = record.dagster_run
-            events = [entry.dagster_event for entry in instance.all_logs(run.run_id) if entry.dagster_event]
-            worked = {event.step_key for event in events if event.event_type == dg.DagsterEventType.STEP_SUCCESS}
-            assets = {
-                event.asset_key.to_user_string()
-                for event in events
-                if event.event_type == dg.DagsterEventType.ASSET_MATERIALIZATION and event.asset_key
-            }
-            submitted = {
-                str(event.engine_event_data.metadata["Ray Submission ID"].value)
-                for event in events
-                if event.event_type == dg.DagsterEventType.STEP_WORKER_STARTING
-            }
+            dagster_run = record.dagster_run
+            entries = instance.all_logs(dagster_run.run_id)
+            events = [entry.dagster_event for entry in entries if entry.dagster_event]
+            steps, assets, submitted = _worked(events)
             lines.append(
-                f"run {run.run_id[:8]}: {run.status.value}, {len(worked)} steps, {len(submitted)} jobs of the cluster, "
-                f"materialised {', '.join(sorted(assets))}"
+                f"run {dagster_run.run_id[:8]}: {dagster_run.status.value}, {len(steps)} steps, "
+                f"{len(submitted)} jobs of the cluster, materialized {', '.join(sorted(assets))}"
             )
             lines += [f"{event.step_key}: {_reason(event)}" for event in events if event.is_step_failure]
-            made.append(run.is_success and worked == assets == _ASSETS and len(submitted) == len(_ASSETS))
+            made_all = steps == assets == STUDY_ASSETS and len(submitted) == len(STUDY_ASSETS)
+            complete.append(dagster_run.is_success and made_all)
             jobs |= submitted
             spans.append((record.start_time or 0.0, record.end_time or 0.0))
-    together = len(spans) == 2 and max(begin for begin, _ in spans) < min(end for _, end in spans)
+    overlap = len(spans) == 2 and max(begin for begin, _ in spans) < min(end for _, end in spans)
     batches = len(list((home / "store" / "planner_costs" / "batches").glob("*.npz")))
-    lines.append(f"at the same time: {together}; {batches} batches of costs, {len(jobs)} jobs")
-    return Evidence(together and all(made) and batches == 8 and len(jobs) == 6, tuple(lines))
+    lines.append(f"at the same time: {overlap}; {batches} batches of costs, {len(jobs)} jobs")
+    return overlap and all(complete) and batches == 8 and len(jobs) == 6, lines
 
 
-def _reason(event: "dg.DagsterEvent") -> str:
+def _worked(events: Sequence[dg.DagsterEvent]) -> tuple[set[str | None], set[str], set[str]]:
+    """Return the successful steps, the materialized assets and the IDs of the submitted jobs."""
+    kinds = dg.DagsterEventType
+    return (
+        {event.step_key for event in events if event.event_type == kinds.STEP_SUCCESS},
+        {
+            event.asset_key.to_user_string()
+            for event in events
+            if event.event_type == kinds.ASSET_MATERIALIZATION and event.asset_key
+        },
+        {
+            str(event.engine_event_data.metadata["Ray Submission ID"].value)
+            for event in events
+            if event.event_type == kinds.STEP_WORKER_STARTING
+        },
+    )
+
+
+def _reason(event: dg.DagsterEvent) -> str:
     error = event.step_failure_data.error
     return " ".join(f"{event.message} {error.message if error else ''}".split())[:600]
-
-
-_ASSETS = {"planner_costs", "planner_times", "planner_report"}

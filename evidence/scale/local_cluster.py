@@ -1,8 +1,9 @@
-"""A Ray cluster on this machine, whose workers are hosts of their own: for `make scale` and for tests.
+"""A Ray cluster on this machine with simulated hosts, for `make scale` and for tests.
 
-Ray listens on every address of a machine, without a password, and leaves processes behind where its starter is killed.
-Here that machine is a network and process namespace that nobody else can reach and that ends as a whole (`apart`). A
-worker is a further network, joined to the head by a bridge: killing all of its processes is the loss of a machine.
+Ray listens on all addresses of a machine without a password, and leaves processes behind if its starter is killed. The
+cluster therefore runs in a network and PID namespace that is unreachable from outside and ends as a whole. Every host
+has a network namespace of its own, connected to the head by a bridge: killing all of its processes simulates the loss
+of a machine.
 """
 
 import contextlib
@@ -19,23 +20,21 @@ from types import TracebackType
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["LocalCluster", "apart"]
-
-_APART = "DELTASAFE_APART"
-_HEAD, _PORT, _TRIES = "10.78.0.1", 6379, 3
+_INSIDE = "DELTASAFE_IN_NAMESPACES"
+_HEAD, _PORT, _ATTEMPTS = "10.78.0.1", 6379, 3
 _USER = () if os.geteuid() == 0 else ("--user", "--map-root-user")
 _UNSHARE = ("unshare", *_USER, "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
 
 
-def apart(module: str, arguments: Sequence[str]) -> None:
-    """Begin this command again, as the first process of namespaces of its own, unless it is that. Does not return.
+def enter_namespaces(module: str, arguments: Sequence[str]) -> None:
+    """Replace this process by ``python -m MODULE`` as PID 1 of new network and PID namespaces; return if it is that.
 
-    Whatever it starts ends with it, even if it is killed.
+    All processes that it starts end with it, even if it is killed.
 
     Raises:
-        SettingsError: this system has no such namespaces for this user.
+        SettingsError: this user cannot create such namespaces on this system.
     """
-    if os.environ.get(_APART) and os.getpid() == 1:
+    if os.environ.get(_INSIDE) and os.getpid() == 1:
         _ip("link set lo up")
         _ip("link add cluster type bridge")
         _ip(f"addr add {_HEAD}/24 dev cluster")
@@ -43,28 +42,29 @@ def apart(module: str, arguments: Sequence[str]) -> None:
         return
     if shutil.which("unshare") is None or not _may_unshare():
         raise SettingsError(
-            "network namespaces are needed here (Linux, with unshare and ip; in a container: its right)"
+            "network namespaces are needed (Linux with unshare and ip; in a container: the permission to create them)"
         )
-    os.environ[_APART] = "1"
+    os.environ[_INSIDE] = "1"
     sys.stdout.flush()
     os.execvp(_UNSHARE[0], [*_UNSHARE, sys.executable, "-m", module, *arguments])
 
 
 class LocalCluster:
-    """A head without cores and any number of workers, each a host with some.
+    """A head without cores, and hosts with one worker each.
 
     Attributes:
-        address: for `ray.init`, of whoever is in the namespace of the head.
+        address: for `ray.init` in the namespace of the head.
 
     Args:
-        jobs: whether it takes jobs, as steps on the cluster need; that is the dashboard's affair, which begins slowly.
+        jobs: whether jobs can be submitted, which steps on the cluster need; the dashboard, which starts slowly,
+            accepts them.
     """
 
     address = f"{_HEAD}:{_PORT}"
 
     def __init__(self, jobs: bool = True) -> None:
         self._jobs = jobs
-        self._folder = tempfile.mkdtemp(prefix="ray-", dir="/tmp")  # short: sockets lie in it
+        self._folder = tempfile.mkdtemp(prefix="ray-", dir="/tmp")  # paths of sockets must be short
         self._hosts: list[tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]] = []
         self._head: subprocess.Popen[bytes] | None = None
 
@@ -72,7 +72,7 @@ class LocalCluster:
         options = ["--head", f"--port={_PORT}", "--num-cpus=0", f"--temp-dir={self._folder}"]
         options += [f"--include-dashboard={str(self._jobs).lower()}", f"--dashboard-host={_HEAD}"]
         try:
-            self._head = self._started(_HEAD, options)
+            self._head = self._start(_HEAD, options)
         except BaseException:
             self.__exit__(None, None, None)
             raise
@@ -88,7 +88,7 @@ class LocalCluster:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def add_host(self, cores: int = 1) -> None:
-        """One more worker, in a network namespace of its own."""
+        """Add a host in its own network namespace."""
         number = len(self._hosts)
         host, address = subprocess.Popen(["unshare", "--net", "sleep", "infinity"]), f"10.78.0.{number + 2}"
         own = _network("self")
@@ -100,25 +100,25 @@ class LocalCluster:
         for command in ("link set lo up", f"addr add {address}/24 dev eth0", "link set eth0 up"):
             subprocess.run([*inside, "ip", *command.split()], check=True)
         self._hosts.append((host, host))
-        worker = self._started(address, [f"--address={self.address}", f"--num-cpus={cores}"], inside)
+        worker = self._start(address, [f"--address={self.address}", f"--num-cpus={cores}"], inside)
         self._hosts[number] = host, worker
 
     def kill_host(self, number: int) -> None:
-        """All processes of a worker, at once (SIGKILL)."""
+        """SIGKILL all processes of a host."""
         host, worker = self._hosts[number]
         _kill(worker)
         _kill(host)
 
     def kill_a_worker(self) -> bool:
-        """SIGKILL one process that does a task just now; False if none does any."""
-        for pid in self.at_work():
+        """SIGKILL one worker process that runs a task; False if there is none."""
+        for pid in self.busy_pids():
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
                 return True
         return False
 
-    def at_work(self) -> list[int]:
-        """Processes on the hosts that do a task of `deltasafe.ray_engine` just now."""
+    def busy_pids(self) -> list[int]:
+        """Return the PIDs of the worker processes that run a task of `deltasafe.ray_engine`."""
         found = []
         for pid in [pid for _, worker in self._hosts for pid in _descendants(worker.pid)]:
             with contextlib.suppress(OSError):
@@ -126,22 +126,22 @@ class LocalCluster:
                     found.append(pid)
         return found
 
-    def _started(self, address: str, options: Sequence[str], inside: Sequence[str] = ()) -> "subprocess.Popen[bytes]":
-        """A part of the cluster, once it says that it runs; on a machine that is busy with others, some tries fail."""
+    def _start(self, address: str, options: Sequence[str], inside: Sequence[str] = ()) -> "subprocess.Popen[bytes]":
+        """Start a part of the cluster and wait until it runs; on a loaded machine, some attempts fail."""
         ray = str(pathlib.Path(sys.executable).with_name("ray"))
         command = [*inside, ray, "start", "--block", "--disable-usage-stats", f"--node-ip-address={address}", *options]
-        for _ in range(_TRIES):
-            with tempfile.TemporaryFile() as said:
-                process = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)
+        for _ in range(_ATTEMPTS):
+            with tempfile.TemporaryFile() as output:
+                process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
                 while process.poll() is None:
-                    if b"Ray runtime started" in os.pread(said.fileno(), 1 << 20, 0):
+                    if b"Ray runtime started" in os.pread(output.fileno(), 1 << 20, 0):
                         return process
                     if self._head is not None and self._head.poll() is not None:
-                        raise RuntimeError(f"the head of the cluster ended with {self._head.returncode}")
+                        raise RuntimeError(f"the head of the cluster exited with {self._head.returncode}")
                     time.sleep(0.2)
-                reason = os.pread(said.fileno(), 1 << 20, 0).decode(errors="replace")
+                reason = os.pread(output.fileno(), 1 << 20, 0).decode(errors="replace")
             _kill(process)
-        raise RuntimeError(f"a part of the cluster did not begin:\n{reason}")
+        raise RuntimeError(f"a part of the cluster did not start:\n{reason}")
 
 
 def _may_unshare() -> bool:
@@ -157,7 +157,7 @@ def _ip(command: str) -> None:
 
 
 def _kill(process: "subprocess.Popen[bytes]") -> None:
-    """A process that we started, and all that came of it."""
+    """SIGKILL a process that we started and all its descendants."""
     for pid in [*_descendants(process.pid), process.pid]:
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""How the project operates, as it is measured and recorded."""
+"""Measurement of orchestration, and outcomes of the tests that stand for operation."""
 
 import logging
 import time
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from deltasafe.errors import DataError
 from deltasafe.storage import read_json
 from evidence import operation
-from evidence.orchestration import outside_of, times_of_run
+from evidence.orchestration import time_outside, times_of_run
 from pipelines.tracking import MlflowTracker
 
 WHOLE = 20
@@ -19,14 +19,14 @@ intervals = st.tuples(st.integers(-5, WHOLE + 5), st.integers(0, 10)).map(lambda
 
 
 @given(st.lists(intervals, max_size=8))
-def test_what_lies_outside_all_work_is_counted_second_by_second(work):
+def test_time_outside_equals_count_of_free_seconds(work):
     free = sum(not any(began <= second < ended for began, ended in work) for second in range(WHOLE))
-    assert outside_of((0, WHOLE), work) == free
+    assert time_outside((0, WHOLE), work) == free
 
 
 @pytest.fixture
-def ran(tmp_path):
-    """A run of two steps: one sleeps, one records with MLflow while it works."""
+def finished_run(tmp_path):
+    """Run two steps: one sleeps, one sleeps while it records with MLflow."""
 
     @dg.asset
     def works():
@@ -44,31 +44,31 @@ def ran(tmp_path):
     logging.getLogger("deltasafe").handlers.clear()
 
 
-def test_recording_and_dagsters_own_time_are_no_work(ran):
-    times = times_of_run(*ran)
-    worked_s = sum(ended - began for began, ended in times.work)
-    whole_s = times.whole[1] - times.whole[0]
+def test_recording_and_dagster_overhead_are_not_work(finished_run):
+    times = times_of_run(*finished_run)
+    worked_s = sum(ended - began for began, ended in times.work_s)
+    whole_s = times.run_s[1] - times.run_s[0]
     assert times.recording_s >= 0.39
     assert 0.4 <= worked_s <= whole_s - times.recording_s + 0.02
     assert times.share == pytest.approx(1 - worked_s / whole_s)
 
 
-def test_a_run_that_is_not_known_is_refused(ran):
-    with pytest.raises(DataError, match="is not known"):
-        times_of_run(ran[0], "0" * 8)
+def test_unknown_run_is_rejected(finished_run):
+    with pytest.raises(DataError, match="is unknown"):
+        times_of_run(finished_run[0], "0" * 8)
 
 
-def test_the_share_of_the_last_whole_run_is_recorded(ran, tmp_path, monkeypatch):
-    instance, run_id = ran
+def test_share_of_a_run_is_recorded(finished_run, tmp_path, monkeypatch):
+    instance, run_id = finished_run
     monkeypatch.setattr(operation, "prepare_home", lambda: tmp_path)
     monkeypatch.setattr(dg.DagsterInstance, "get", staticmethod(lambda: instance))
     record = tmp_path / "operation.json"
-    assert operation.main(["share", "--record", str(record)]) == 1, "there is no run of the job `everything`"
+    assert operation.main(["share", "--record", str(record)]) == 1, "no run of the job `everything`"
     assert operation.main(["share", "--run", run_id, "--record", str(record)]) == 0
     assert 0 < read_json(record)["figures"]["orchestration_share"] < 1
 
 
-def test_only_what_really_passed_counts(tmp_path, monkeypatch):
+def test_skipped_and_failed_tests_did_not_pass(tmp_path, monkeypatch):
     file = tmp_path / "test_some.py"
     file.write_text(
         "import pytest\n"
@@ -77,8 +77,8 @@ def test_only_what_really_passed_counts(tmp_path, monkeypatch):
         "@pytest.mark.skip\n"
         "def test_skipped(): pass\n"
     )
-    assert operation.passed([str(file)]) == {"test_fine": True, "test_wrong": False, "test_skipped": False}
-    assert operation.passed([str(tmp_path / "none.py")]) == {}
+    assert operation.outcomes_of([str(file)]) == {"test_fine": True, "test_wrong": False, "test_skipped": False}
+    assert operation.outcomes_of([str(tmp_path / "none.py")]) == {}
 
     monkeypatch.setattr(operation, "BROWSER_TESTS", str(file))
     record = tmp_path / "operation.json"
@@ -86,7 +86,7 @@ def test_only_what_really_passed_counts(tmp_path, monkeypatch):
     assert read_json(record)["figures"] == {"browser_test_passed": False}
 
 
-def test_the_tests_that_figures_are_named_after_exist():
+def test_tests_of_figures_exist():
     for name in operation.TESTS.values():
         path, test = name.split("::")
         assert f"def {test}(" in (operation.PROJECT / path).read_text(encoding="utf-8")
