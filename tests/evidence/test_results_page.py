@@ -1,3 +1,5 @@
+"""The generated page of recorded figures."""
+
 import pytest
 
 from deltasafe.storage import write_json
@@ -5,8 +7,8 @@ from evidence import results_page
 from evidence.results_page import LINES, Line
 
 
-def test_the_page_is_that_of_the_records():
-    assert results_page.main(["--check"]) == 0, "make results writes it anew"
+def test_page_is_up_to_date():
+    assert results_page.main(["--check"]) == 0, "run: make results"
 
 
 @pytest.mark.parametrize(
@@ -17,14 +19,14 @@ def test_the_page_is_that_of_the_records():
         (Line("a", "b", "error", "g", at_most=0), 1, "| error | 1 | at most 0 | **no** |"),
         (Line("a", "b", "passed", "g", 1), True, "| passed | 1 | at least 1 | yes |"),
         (Line("a", "b", "time", "g"), 3, "| time | 3 |  |  |"),
-        (Line("a", "b", "time", "g", at_most=4), None, "| time | not measured yet | at most 4 | |"),
+        (Line("a", "b", "time", "g", at_most=4), None, "| time | not measured | at most 4 | |"),
     ],
 )
-def test_a_row_says_whether_the_aim_was_held(line, value, row):
+def test_row_tells_whether_target_is_met(line, value, row):
     assert line.row(value) == row
 
 
-def test_figures_come_with_the_command_that_made_them(tmp_path):
+def test_figures_have_their_command(tmp_path):
     part = {"figures": {"executions": 3000}, "command": "make it", "commit": "abc", "machine": "a machine"}
     write_json(tmp_path / "safety.json", {"figures": part["figures"], "parts": {"one": part}})
     page = results_page.results_page(tmp_path)
@@ -32,6 +34,6 @@ def test_figures_come_with_the_command_that_made_them(tmp_path):
     assert "* [safety.json](safety.json): `make it` at abc, a machine" in page
 
 
-def test_every_figure_is_told_once():
-    told = [(line.record, line.figure) for lines in LINES.values() for line in lines]
-    assert len(told) == len({*told})
+def test_every_figure_appears_once():
+    figures = [(line.record, line.figure) for lines in LINES.values() for line in lines]
+    assert len(figures) == len({*figures})
