@@ -1,9 +1,9 @@
 # make demo  sets everything up and runs the whole chain on the embedded data (preset: PRESET=default)
 # make test  sets everything up and runs the checks and tests
 # make hands OUT=folder N=50 SET=test-like  and  make scenes OUT=folder N=100  render more pictures (docs/data.md)
-# make scale  does the same work on a Ray cluster of two hosts (network namespaces) and on one machine (docs/scaling.md)
-# make benchmarks  measures this machine: training, inference, the paper's preset (leave it alone meanwhile)
-# make faults  tries what must not go wrong, thousands of times (docs/reliability.md); minutes
+# make scale  does the same work on a Ray cluster of two simulated hosts and on one machine (docs/scaling.md)
+# make benchmarks  times training, inference, the paper preset and the planner on this machine, which must be idle
+# make faults  injects faults by the thousand: bad input, changed bytes, kills (docs/reliability.md)
 # make audit   asks whether anything installed has a known vulnerability;  make sbom  writes what is installed to dist/
 # make registry  lists the versions of the ensemble;  make rollback BECAUSE='...'  puts the one before in use again
 # make wheel  builds the library alone into dist/;  make examples  pulls the ensemble in use into environments made from it
@@ -54,41 +54,41 @@ safety-study: $(STAMP)
 tracking-study: $(STAMP)
 	$(BIN)/python -m pipelines.commands.tracking_study --record docs/results/safety.json
 
-# the smoke chain and a thousand plans on a Ray cluster and without one, hosts killed, runs side by side; a quarter of an hour
+# the smoke chain and a thousand plans on a Ray cluster and without one, with killed hosts; a quarter of an hour
 scale: $(CLUSTER)
-	$(BIN)/python -m pipelines.scale --record docs/results/scale.json
+	$(BIN)/python -m evidence.scale --record docs/results/scale.json
 
-# each in turns with what one would write first; half an hour, on a machine with nothing else to do
+# each in turn with a baseline; half an hour on an idle machine
 benchmarks: $(STAMP)
-	$(BIN)/python -m benchmarks.inference --record docs/results/perception.json
-	$(BIN)/python -m benchmarks.training --record docs/results/perception.json
-	$(BIN)/python -m benchmarks.paper_preset --record docs/results/paper_preset.json
-	$(BIN)/python -m benchmarks.planner --record docs/results/planner.json
+	$(BIN)/python -m evidence.benchmarks.inference --record docs/results/perception.json
+	$(BIN)/python -m evidence.benchmarks.training --record docs/results/perception.json
+	$(BIN)/python -m evidence.benchmarks.paper_preset --record docs/results/paper_preset.json
+	$(BIN)/python -m evidence.benchmarks.planner --record docs/results/planner.json
 
-# docs/results/README.md: what the records beside it say, and what was aimed at
+# docs/results/README.md: recorded figures beside their targets
 results: $(STAMP)
-	$(BIN)/python -m pipelines.results_page
+	$(BIN)/python -m evidence.results_page
 
-# malformed inputs, changed bytes, kills, a hundred runs in one process: each command fails if one promise of docs/reliability.md does not hold
+# each command fails if a promise of docs/reliability.md does not hold
 faults: $(STAMP)
-	$(BIN)/python -m faults.inputs --record docs/results/reliability.json
-	$(BIN)/python -m faults.flips --record docs/results/reliability.json
-	$(BIN)/python -m faults.pickles --record docs/results/reliability.json
-	$(BIN)/python -m faults.digests --record docs/results/reliability.json
-	$(BIN)/python -m faults.properties --record docs/results/reliability.json
-	$(BIN)/python -m faults.kills --record docs/results/reliability.json
-	$(BIN)/python -m faults.dagster_kills --record docs/results/reliability.json
-	$(BIN)/python -m faults.denials --record docs/results/reliability.json
-	$(BIN)/python -m faults.races --record docs/results/reliability.json
-	$(BIN)/python -m faults.soak --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.inputs --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.flips --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.pickles --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.digests --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.properties --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.kills --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.dagster_kills --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.denials --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.races --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.soak --record docs/results/reliability.json
 
 # dist/sbom.json: what is installed, for a scanner (CycloneDX)
 sbom: $(STAMP) $(AUDITOR)
-	$(BIN)/python -m faults.dependencies --sbom-alone
+	$(BIN)/python -m evidence.faults.dependencies --sbom-alone
 
 # the SBOM, and pip-audit where a database of vulnerabilities can be reached; says so where none can
 audit: $(STAMP) $(AUDITOR)
-	$(BIN)/python -m faults.dependencies $(if $(RECORD),--record $(RECORD))
+	$(BIN)/python -m evidence.faults.dependencies $(if $(RECORD),--record $(RECORD))
 
 # files in their own order, long ones first: reordered by number of tests, one core would wait for the last of them
 test: $(STAMP) check
@@ -118,7 +118,7 @@ wheel: $(STAMP)
 # three ways of pulling the ensemble, in environments of their own (7 GB below examples/ the first time);
 # ENSEMBLE=DIR names another than the one in use, RECORD=FILE merges the figures into a record
 examples: $(STAMP)
-	$(BIN)/python -m pipelines.commands.consumers --torch-index '$(TORCH_INDEX)' \
+	$(BIN)/python -m evidence.consumers --torch-index '$(TORCH_INDEX)' \
 	  $(if $(ENSEMBLE),--ensemble '$(ENSEMBLE)') $(if $(RECORD),--record $(RECORD))
 
 team: $(TEAM)
@@ -137,16 +137,16 @@ lint-deploy: $(SERVICES)
 
 # the UI, used by clicks; a Chromium has to be there (docs/ui.md). SCREENSHOTS=DIR keeps what it saw, RECORD=FILE the outcome
 browser-test: $(BROWSER)
-	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m pipelines.operation browser $(if $(RECORD),--record $(RECORD))
+	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m evidence.operation browser $(if $(RECORD),--record $(RECORD))
 
 # the UI for the README, as it shows what the home holds
 pictures: $(BROWSER)
 	$(BIN)/python -m tests.browser.pictures --out docs/pictures
 
-# after `make demo`: what orchestration cost of it; and new images, a worse ensemble, a rollback, by the tests that do them
+# after `make demo`: the time that orchestration took; new images, a worse ensemble and a rollback, by their tests
 operation-record: $(STAMP)
-	$(BIN)/python -m pipelines.operation share --record docs/results/operation.json
-	$(BIN)/python -m pipelines.operation tests --record docs/results/operation.json
+	$(BIN)/python -m evidence.operation share --record docs/results/operation.json
+	$(BIN)/python -m evidence.operation tests --record docs/results/operation.json
 
 # into the environment $(1), by uv where it is there
 define install
