@@ -85,44 +85,44 @@ tracking-study: $(STAMP) ## identify the tracking bound gamma(v) of the simulate
 	$(BIN)/python -m pipelines.commands.tracking_study --record docs/results/safety.json
 
 benchmarks: $(STAMP) ## measure training, inference, planner and the paper preset on an idle machine; 30 min
-	$(BIN)/python -m benchmarks.inference --record docs/results/perception.json
-	$(BIN)/python -m benchmarks.training --record docs/results/perception.json
-	$(BIN)/python -m benchmarks.paper_preset --record docs/results/paper_preset.json
-	$(BIN)/python -m benchmarks.planner --record docs/results/planner.json
+	$(BIN)/python -m evidence.benchmarks.inference --record docs/results/perception.json
+	$(BIN)/python -m evidence.benchmarks.training --record docs/results/perception.json
+	$(BIN)/python -m evidence.benchmarks.paper_preset --record docs/results/paper_preset.json
+	$(BIN)/python -m evidence.benchmarks.planner --record docs/results/planner.json
 
 faults: $(STAMP) ## test the promises of docs/explanation/reliability.md with thousands of injected faults; minutes
-	$(BIN)/python -m faults.inputs --record docs/results/reliability.json
-	$(BIN)/python -m faults.flips --record docs/results/reliability.json
-	$(BIN)/python -m faults.pickles --record docs/results/reliability.json
-	$(BIN)/python -m faults.digests --record docs/results/reliability.json
-	$(BIN)/python -m faults.properties --record docs/results/reliability.json
-	$(BIN)/python -m faults.kills --record docs/results/reliability.json
-	$(BIN)/python -m faults.dagster_kills --record docs/results/reliability.json
-	$(BIN)/python -m faults.denials --record docs/results/reliability.json
-	$(BIN)/python -m faults.races --record docs/results/reliability.json
-	$(BIN)/python -m faults.soak --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.inputs --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.flips --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.pickles --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.digests --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.properties --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.kills --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.dagster_kills --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.denials --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.races --record docs/results/reliability.json
+	$(BIN)/python -m evidence.faults.soak --record docs/results/reliability.json
 
 scale: $(CLUSTER) ## compare a Ray cluster of two hosts (network namespaces) with one machine; 15 min (docs/how-to/cluster.md)
-	$(BIN)/python -m pipelines.scale --record docs/results/scale.json
+	$(BIN)/python -m evidence.scale --record docs/results/scale.json
 
 operation-record: $(STAMP) ## measure the cost of orchestration, retraining and rollback, after the demo
-	$(BIN)/python -m pipelines.operation share --record docs/results/operation.json
-	$(BIN)/python -m pipelines.operation tests --record docs/results/operation.json
+	$(BIN)/python -m evidence.operation share --record docs/results/operation.json
+	$(BIN)/python -m evidence.operation tests --record docs/results/operation.json
 
 results: $(STAMP) ## write docs/results/README.md from the records beside it
-	$(BIN)/python -m pipelines.results_page
+	$(BIN)/python -m evidence.results_page
 
 pictures: $(BROWSER) ## take the screenshots of the UI for the README
 	$(BIN)/python -m tests.browser.pictures --out docs/pictures
 
 browser-test: $(BROWSER) ## test the UI in Chromium (docs/how-to/ui.md); SCREENSHOTS=DIR RECORD=FILE
-	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m pipelines.operation browser $(if $(RECORD),--record $(RECORD))
+	DELTASAFE_SCREENSHOTS='$(SCREENSHOTS)' $(BIN)/python -m evidence.operation browser $(if $(RECORD),--record $(RECORD))
 
 wheel: $(STAMP) ## build the library into dist/
 	$(BIN)/python -m hatchling build -t wheel -d dist
 
 examples: $(STAMP) ## load the ensemble in three new environments (7 GB in examples/); ENSEMBLE=DIR RECORD=FILE
-	$(BIN)/python -m pipelines.commands.consumers --torch-index '$(TORCH_INDEX)' \
+	$(BIN)/python -m evidence.consumers --torch-index '$(TORCH_INDEX)' \
 	  $(if $(ENSEMBLE),--ensemble '$(ENSEMBLE)') $(if $(RECORD),--record $(RECORD))
 
 team: $(TEAM) ## install clients of PostgreSQL and of object stores (docs/how-to/team.md)
@@ -138,10 +138,10 @@ lint-deploy: $(SERVICES) ## lint the files in deploy/; needs no container engine
 	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec deploy/compose.yaml
 
 sbom: $(STAMP) $(AUDITOR) ## write the installed packages to dist/sbom.json (CycloneDX)
-	$(BIN)/python -m faults.dependencies --sbom-alone
+	$(BIN)/python -m evidence.faults.dependencies --sbom-alone
 
 audit: $(STAMP) $(AUDITOR) ## write the SBOM and check it for known vulnerabilities; RECORD=FILE
-	$(BIN)/python -m faults.dependencies $(if $(RECORD),--record $(RECORD))
+	$(BIN)/python -m evidence.faults.dependencies $(if $(RECORD),--record $(RECORD))
 
 lock: ## renew constraints.txt with uv: the newest versions that install together
 	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \

@@ -11,7 +11,7 @@ import pytest
 ROOT = pathlib.Path(__file__).parents[2]
 MODULES = sorted(
     path
-    for package in ("deltasafe", "assets", "pipelines", "generator", "faults")
+    for package in ("deltasafe", "assets", "pipelines", "generator", "evidence")
     for path in (ROOT / package).rglob("*.py")
 )
 

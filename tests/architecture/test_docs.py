@@ -13,7 +13,7 @@ import pytest
 ROOT = pathlib.Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), ROOT / "datasets/README.md", ROOT / "examples/README.md"])
-PACKAGES = ("deltasafe", "assets", "pipelines", "generator", "faults", "benchmarks")
+PACKAGES = ("deltasafe", "assets", "pipelines", "generator", "evidence")
 
 
 def name_of(path):
@@ -47,7 +47,7 @@ def test_every_command_on_a_page_exists(path):
     targets = re.findall(r"^([a-z][a-z-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     code = "\n".join(re.findall(r"`[^`\n]+`|^```(?:bash)\n.*?^```", text, re.MULTILINE | re.DOTALL))
     assert set(re.findall(r"\bmake ([a-z][a-z-]*)", code)) <= set(targets)
-    for module in re.findall(r"python -m ((?:pipelines|faults|benchmarks|generator)[\w.]*)", code):
+    for module in re.findall(r"python -m ((?:pipelines|evidence|generator)[\w.]*)", code):
         place = ROOT / module.removesuffix(".NAME").replace(".", "/")
         assert place.is_dir() or place.with_suffix(".py").is_file(), module
 

@@ -1,10 +1,7 @@
-"""The executor as it is chosen; and where ray is installed, a study on a cluster of two hosts, killed in the middle."""
+"""The choice of the executor by the environment."""
 
 import importlib.util
-import json
-import os
 import pathlib
-import subprocess
 import sys
 
 import pytest
@@ -90,81 +87,3 @@ def test_an_engine_that_is_not_installed_says_how_it_would_be(monkeypatch):
         RayExecutor()
     with pytest.raises(SettingsError, match="cluster"):
         steps_on_ray({EXECUTOR: "ray", STEPS: "ray"})
-
-
-@installed
-def test_a_cluster_makes_what_one_machine_makes_though_a_process_and_a_host_are_killed(tmp_path):
-    command = [sys.executable, "-m", "pipelines.scale", "--parts", "study", "driver", "--runs", "2"]
-    command += ["--iterations", "300", "--out", str(tmp_path / "figures.json")]
-    ended = subprocess.run(command, cwd=ROOT, env=os.environ, capture_output=True, text=True, check=False)
-    if "network namespaces are needed" in ended.stderr:
-        pytest.skip("no network namespaces here")
-    assert ended.returncode == 0, ended.stdout + ended.stderr[-4000:]
-    figures = json.loads((tmp_path / "figures.json").read_text())
-    assert (figures["digests_equal"], figures["killed_worker_completed"], figures["workers"]) == (1, 1, 2)
-    assert figures["killed_driver_left_nothing"] == 1
-    assert figures["plans"] == 2 * 14 * 11 * 2
-
-
-@installed
-def test_what_tasks_report_and_raise_comes_back(tmp_path):
-    """In a process of its own: Ray, and what it listens on, is not for the other tests."""
-    program = tmp_path / "reporting.py"
-    program.write_text(REPORTING)
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{tmp_path}", "RAY_USAGE_STATS_ENABLED": "0"}
-    del environment["OMP_NUM_THREADS"]  # which Ray would leave as it is
-    command = [sys.executable, "-m", "reporting"]
-    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    if "network namespaces are needed" in ended.stderr:
-        pytest.skip("no network namespaces here")
-    assert ended.returncode == 0, ended.stdout + ended.stderr[-4000:]
-
-
-REPORTING = """
-from deltasafe.compute.executor import Needs, Task
-from deltasafe.errors import DataError, WorkerLostError
-from deltasafe.compute.ray_executor import RayExecutor, RaySettings
-from pipelines.local_cluster import LocalCluster, apart
-
-def speak(tell, name):
-    import os
-    for number in range(3):
-        tell((name, number))
-    return os.environ["OMP_NUM_THREADS"]
-
-def refuse(path):
-    raise DataError(path, "is wrong")
-
-def die(times):
-    import os, signal
-    os.kill(os.getpid(), signal.SIGKILL)
-
-def try_all(executor):
-    import reporting  # functions are found by the name of their module
-
-    heard = []
-    tasks = [Task(name, reporting.speak, (name,)) for name in "ab"]
-    found = dict(executor.run(tasks, 1, Needs(threads=2), heard.append))
-    assert found == {0: "2", 1: "2"}, found
-    assert sorted(heard) == [(name, number) for name in "ab" for number in range(3)], heard
-    for name, work, kind, words in (
-        ("wrong", reporting.refuse, DataError, "some/file: is wrong"),
-        ("deadly", reporting.die, WorkerLostError, "deadly: the process"),
-    ):
-        try:
-            dict(executor.run([Task(name, work, ("some/file",))], 1))
-        except kind as error:
-            assert type(error) is kind and words in str(error), error
-        else:
-            raise AssertionError("no error")
-
-if __name__ == "__main__":
-    apart("reporting", [])
-    with LocalCluster(jobs=False) as cluster:
-        cluster.add_host(cores=2)
-        executor = RayExecutor(RaySettings(cluster.address))
-        try:
-            try_all(executor)
-        finally:
-            executor.disconnect()  # which would else end this process once the cluster is gone
-"""

@@ -1,0 +1,1 @@
+"""Malformed inputs, one module per kind: valid inputs and the corruptions of them."""
