@@ -24,7 +24,7 @@ from deltasafe.compute.ray_executor import RayExecutor, RaySettings
 from deltasafe.errors import DeltasafeError
 from deltasafe.io.storage import digest_of, read_json, write_json
 from deltasafe.presets import VARIABLE
-from deltasafe.studies.planner import ComparisonSettings, compare, contenders
+from deltasafe.studies.planner import ComparisonSettings, n_plans, run_comparison
 from pipelines.executors import ADDRESS, EXECUTOR, STEPS
 from pipelines.home import PROJECT, set_quiet_environment
 from pipelines.local_cluster import LocalCluster, apart
@@ -129,7 +129,7 @@ def _study(settings: ComparisonSettings, folder: pathlib.Path, cluster: LocalClu
     two, together_s = _timed("two hosts", settings, folder, executor)
     print(f"  speed-up of two hosts over one: {alone_s / together_s:.2f}", flush=True)
     figures = {
-        "plans": _plans(settings),
+        "plans": n_plans(settings),
         "speedup": round(alone_s / together_s, 3),
         "one_host_s": round(alone_s, 2),
         "two_hosts_s": round(together_s, 2),
@@ -158,21 +158,16 @@ def _timed(
     name: str, settings: ComparisonSettings, folder: pathlib.Path, executor: Executor, progress: Progress = silent
 ) -> tuple[str, float]:
     began_s = time.monotonic()
-    digest = study_digest(compare(settings, folder / name.replace(" ", "-"), 1, progress, executor))
+    digest = study_digest(run_comparison(settings, folder / name.replace(" ", "-"), 1, progress, executor))
     took_s = time.monotonic() - began_s
-    print(f"  {_plans(settings)} plans, {name}: {took_s:.1f} s, digest {digest[:16]}", flush=True)
+    print(f"  {n_plans(settings)} plans, {name}: {took_s:.1f} s, digest {digest[:16]}", flush=True)
     return digest, took_s
-
-
-def _plans(settings: ComparisonSettings) -> int:
-    per_level = sum(settings.n_runs if one.is_main else settings.n_runs_beside for one in contenders(settings))
-    return 2 * settings.n_levels * per_level
 
 
 def _warm(settings: ComparisonSettings, folder: pathlib.Path, executor: Executor) -> None:
     """Every worker has loaded and compiled what it needs."""
     few = dataclasses.replace(settings, n_levels=2 * _HOSTS, n_runs=2, n_runs_beside=2, n_iterations=50)
-    compare(few, folder, 1, silent, executor)
+    run_comparison(few, folder, 1, silent, executor)
 
 
 def _wait_for_hosts(executor: RayExecutor) -> None:
