@@ -1,36 +1,32 @@
-"""The safety study: thousands of executed motions, and what they say about delta, with intervals."""
+"""The safety study: thousands of executed motions, and rates of violations and contacts with confidence intervals."""
 
-from deltasafe.studies.intervals import clopper_pearson, mean_share_upper, scene_bootstrap, upper_bound
-from deltasafe.studies.safety.evidence import Cell, Pairing, Rate, by_speed, cell, failures, pairing
-from deltasafe.studies.safety.report import figures_of, write_safety_study
-from deltasafe.studies.safety.runs import Eyes, FrozenEyes, SceneRef, Sight, replay
-from deltasafe.studies.safety.settings import CONTENDERS, CameraSettings, SafetyStudySettings, TaskSettings
+from deltasafe.studies.safety.evidence import MethodResult, Pairing, Rate, by_speed, evaluate, failures, pair
+from deltasafe.studies.safety.predictors import FrozenEnsemblePredictor, Prediction, Predictor
+from deltasafe.studies.safety.report import figures_of, write_report
+from deltasafe.studies.safety.runs import SceneRef, replay
+from deltasafe.studies.safety.settings import METHODS, CameraSettings, SafetyStudySettings, TaskSettings
 from deltasafe.studies.safety.study import SafetyStudy, StudyInputs, run_study
 
 __all__ = [
-    "CONTENDERS",
+    "METHODS",
     "CameraSettings",
-    "Cell",
-    "Eyes",
-    "FrozenEyes",
+    "FrozenEnsemblePredictor",
+    "MethodResult",
     "Pairing",
+    "Prediction",
+    "Predictor",
     "Rate",
     "SafetyStudy",
     "SafetyStudySettings",
     "SceneRef",
-    "Sight",
     "StudyInputs",
     "TaskSettings",
     "by_speed",
-    "cell",
-    "clopper_pearson",
+    "evaluate",
     "failures",
     "figures_of",
-    "mean_share_upper",
-    "pairing",
+    "pair",
     "replay",
     "run_study",
-    "scene_bootstrap",
-    "upper_bound",
-    "write_safety_study",
+    "write_report",
 ]
