@@ -1,7 +1,7 @@
-"""The tracking bound gamma(v), identified: test motions over the workspace, a tolerance bound, held-out coverage."""
+"""The tracking study: identifies the tracking bound gamma(v) from test motions and tests it on held-out runs."""
 
-from deltasafe.studies.tracking.bound import Coverage, coverage_of, fitted_bound, gamma0_over, slope_of
-from deltasafe.studies.tracking.report import write_tracking_report
+from deltasafe.studies.tracking.bound import Coverage, coverage_of, fit_bound, fit_constant, fit_slope
+from deltasafe.studies.tracking.report import write_report
 from deltasafe.studies.tracking.settings import TrackingStudySettings
 from deltasafe.studies.tracking.study import TrackingStudy, run_study
 from deltasafe.studies.tracking.test_motions import KINDS, TestMotion, draw_motion
@@ -17,9 +17,9 @@ __all__ = [
     "Tracks",
     "coverage_of",
     "draw_motion",
-    "fitted_bound",
-    "gamma0_over",
+    "fit_bound",
+    "fit_constant",
+    "fit_slope",
     "run_study",
-    "slope_of",
-    "write_tracking_report",
+    "write_report",
 ]
