@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 from deltasafe.errors import SettingsError
 
@@ -66,18 +66,13 @@ def mean_upper_bound(values: Array, level: float = 0.95) -> float:
         return 1.0
 
     def excess(r: float) -> float:
-        hoeffding = math.exp(-n * _relative_entropy(min(mean, r), r))
+        a = min(mean, r)
+        hoeffding = math.exp(-n * float(special.rel_entr(a, r) + special.rel_entr(1 - a, 1 - r)))
         bentkus = math.e * float(stats.binom.cdf(math.ceil(n * mean - 1e-9), n, r))
         return min(hoeffding, bentkus) - alpha
 
     most = 1.0 - 1e-12
     return 1.0 if excess(most) > 0 else float(optimize.brentq(excess, mean, most, xtol=1e-12))
-
-
-def _relative_entropy(a: float, b: float) -> float:
-    """Compute the relative entropy of Bernoulli(a) against Bernoulli(b), 0 < b < 1."""
-    first = a * math.log(a / b) if a > 0 else 0.0
-    return first + ((1 - a) * math.log((1 - a) / (1 - b)) if a < 1 else 0.0)
 
 
 def _check(count: int, n: int, level: float) -> None:

@@ -5,8 +5,9 @@ import os
 import pathlib
 import sys
 
-from deltasafe.io.storage import atomic_folder, read_json
+from deltasafe.io.storage import read_json
 from deltasafe.presets import VARIABLE
+from pipelines.commands.pictures import record_report
 from pipelines.commands.records import merge_part
 from pipelines.home import prepare_home
 
@@ -50,7 +51,7 @@ def main() -> int:
 
 
 def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathlib.Path, report: pathlib.Path) -> None:
-    """Merge the figures into the record; copy the report beside it."""
+    """Merge the figures into the record; copy the report beside it, with smaller images."""
     preset = os.environ.get(VARIABLE) or "default"
     command = "python -m pipelines.commands.tracking_study"
     settings = read_json(folder / "study.json")["settings"]
@@ -62,9 +63,7 @@ def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathli
         seeds={"runs_from": settings["first_seed"]},
         settings=settings,
     )
-    with atomic_folder(destination.parent / "tracking_study") as temporary:
-        for name in ("report.md", "tracking.png"):
-            (temporary / name).write_bytes((report / name).read_bytes())
+    record_report(report, destination.parent / "tracking_study")
 
 
 if __name__ == "__main__":

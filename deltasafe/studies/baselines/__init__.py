@@ -1,30 +1,14 @@
 """Compared methods: chance constraints for obstacles of known shape at Gaussian positions."""
 
 from deltasafe.studies.baselines.obstacles import GaussianObstacle, enclosing_obstacle
-from deltasafe.studies.baselines.probability import (
-    JOINT_RISKS,
-    METHODS,
-    collision_probability,
-    collision_probability_of_ball,
-)
-from deltasafe.studies.baselines.segment_tests import (
-    GaussianCheckSettings,
-    GaussianTest,
-    GaussianTestInView,
-    gaussian_test,
-)
+from deltasafe.studies.baselines.segment_tests import GaussianCheckSettings, GaussianTestInView, gaussian_test
 
 __all__ = [
     "COLORS",
-    "JOINT_RISKS",
     "LABELS",
-    "METHODS",
     "GaussianCheckSettings",
     "GaussianObstacle",
-    "GaussianTest",
     "GaussianTestInView",
-    "collision_probability",
-    "collision_probability_of_ball",
     "enclosing_obstacle",
     "gaussian_test",
 ]

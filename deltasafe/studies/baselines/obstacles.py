@@ -52,10 +52,6 @@ class GaussianObstacle:
         """Create a ball with isotropic noise N(mean, sigma^2 I), as in section V-B."""
         return cls(mean_m, (radius_m,) * 3, isotropic_covariance(sigma_m))
 
-    @property
-    def is_ball(self) -> bool:
-        return len(set(self.semi_axes_m)) == 1
-
 
 def isotropic_covariance(sigma_m: float) -> tuple[Triple, Triple, Triple]:
     """Return sigma^2 I."""

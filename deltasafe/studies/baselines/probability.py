@@ -5,22 +5,12 @@ the noise has the covariance diag(spread). Decision 14: poses inside the mean sh
 """
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled
-from deltasafe.errors import SettingsError
-from deltasafe.studies.baselines.obstacles import GaussianObstacle, obstacle_arrays
 
-__all__ = [
-    "JOINT_RISKS",
-    "METHODS",
-    "collision_probability",
-    "collision_probability_of_ball",
-    "risk",
-]
+__all__ = ["JOINT_RISKS", "METHODS", "collision_probability_of_ball", "risk"]
 
 METHODS = ("chance_constraint", "max_probability", "bounding_volume", "exact")
 """Zhu and Alonso-Mora 2019; Park, Park and Manocha 2018; Kamel 2017; and the Gaussian integral itself."""
@@ -30,33 +20,9 @@ JOINT_RISKS = ("each", "boole", "noisy_or")
 """How n obstacles share delta: delta each; delta / n each; or 1 - prod(1 - p_i) <= delta (decision 14)."""
 EACH, BOOLE, NOISY_OR = range(len(JOINT_RISKS))
 
-Array = NDArray[np.float64]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(40)
 INTEGRATION_SIGMAS = 8.5
 """The normal density is integrated within this many standard deviations."""
-
-
-def collision_probability(
-    obstacles: Sequence[GaussianObstacle],
-    points_m: Array,
-    robot_radius_m: float,
-    method: str = "exact",
-    sigma_level: float = 3.0,
-    numeric_search: bool = False,
-) -> Array:
-    """Compute P(collision) by a method, (N, n), for a ball at points (N, 3) and each of n obstacles.
-
-    ``bounding_volume`` gives 1 or 0. The bounds of ``chance_constraint`` and ``max_probability`` are at least the
-    probability that N(mean, covariance) puts the center into the obstacle grown by the ball.
-
-    Raises:
-        SettingsError: an unknown method.
-    """
-    if method not in METHODS:
-        raise SettingsError(f"method must be one of {METHODS}, got {method!r}")
-    arrays = obstacle_arrays(obstacles, robot_radius_m, sigma_level if method == "bounding_volume" else 0.0)
-    points_m = np.ascontiguousarray(points_m, dtype=np.float64)
-    return np.asarray(_table(METHODS.index(method), numeric_search, arrays.mean_m, arrays.map, arrays.spread, points_m))
 
 
 @compiled
@@ -168,17 +134,3 @@ def _sine_range(mean, sigma, half):  # type: ignore[no-untyped-def]
     low = min(max((mean - INTEGRATION_SIGMAS * sigma) / half, -1.0), 1.0)
     high = min(max((mean + INTEGRATION_SIGMAS * sigma) / half, -1.0), 1.0)
     return math.asin(low), math.asin(high)
-
-
-@compiled
-def _table(kind, numeric, mean_m, maps, spread, points_m):  # type: ignore[no-untyped-def]
-    p = np.empty((len(points_m), len(mean_m)))
-    w = np.empty(3)
-    for n in range(len(points_m)):
-        for m in range(len(mean_m)):
-            for i in range(3):
-                w[i] = 0.0
-                for j in range(3):
-                    w[i] += maps[m, i, j] * (points_m[n, j] - mean_m[m, j])
-            p[n, m] = risk(kind, numeric, w, spread[m])
-    return p

@@ -103,13 +103,7 @@ class EllipticDisc(ToolBody):
     semi_axis_x_m: float = 0.04
     semi_axis_y_m: float = 0.02
     thickness_m: float = 0.002
-    shaft_radius_m: float = dataclasses.field(default=-math.inf, init=False)
-    shaft_length_m: float = dataclasses.field(default=0.0, init=False)
-
-    def __post_init__(self) -> None:
-        for name in ("semi_axis_x_m", "semi_axis_y_m", "thickness_m"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise SettingsError(f"{name} must be a positive length in meters, got {getattr(self, name)}")
+    shaft_length_m: float = 0.0
 
     def samples(self, margin_m: float, count: int, seed: int) -> Array:
         """Draw points (count, 3) uniformly from the disc enlarged by a ball of radius ``margin_m``."""

@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -31,7 +31,7 @@ LARGEST_CELLS = 96
 
 
 def search_from_above(
-    tree: SearchTree, field: DistanceField, body: ToolBody, destination: str | pathlib.Path, title: str = ""
+    tree: SearchTree, field: DistanceField, body: ToolBody, destination: str | pathlib.Path, title: str
 ) -> None:
     """Draw the plan view: largest P(occupied) of each column, edges of the tree by height, path and body outlines.
 
@@ -40,7 +40,7 @@ def search_from_above(
         field: field of the search; its delta is drawn as a contour.
         body: the tool.
         destination: file, written atomically; the suffix selects the format.
-        title: title of the figure; by default the number of nodes.
+        title: title of the figure.
     """
     grid = field.grid
     figure = new_figure(8.6, 7.6)
@@ -76,7 +76,7 @@ def search_from_above(
 
 
 def search_in_space(
-    tree: SearchTree, field: DistanceField, body: ToolBody, destination: str | pathlib.Path, title: str = ""
+    tree: SearchTree, field: DistanceField, body: ToolBody, destination: str | pathlib.Path, title: str
 ) -> None:
     """Draw the same in perspective: the region P(occupied) > delta, the tree, path, body outlines, and shadows.
 
@@ -125,7 +125,7 @@ def _finish(
     for label, marker in (("start", "o"), ("goal", "s")):
         handles.append(Line2D([], [], marker=marker, ms=8, mfc="white", mec=INK, mew=1.6, ls="none", label=label))
     figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=9, frameon=False)
-    ax.set_title(title or f"{len(tree.nodes)} nodes", fontsize=11, loc="left")
+    ax.set_title(title, fontsize=11, loc="left")
     scale = ScalarMappable(Normalize(grid.origin_m[2], grid.upper_m[2]), "viridis")
     figure.colorbar(scale, ax=ax, shrink=0.6, pad=0.02, aspect=32).set_label("height of the tree's edges [m]")
 
@@ -172,12 +172,8 @@ def _shaded(normals: Array) -> Array:
 
 def _split(edges: Array, longest_m: float) -> Array:
     """Split edges (n, 2, 3) into pieces no longer than ``longest_m``, so that sorting them by depth is correct."""
-    pieces = []
-    for start, end in edges:
-        count = max(1, math.ceil(float(np.linalg.norm(end - start)) / longest_m))
-        points = start + np.arange(count + 1)[:, None] / count * (end - start)
-        pieces.append(np.stack([points[:-1], points[1:]], axis=1))
-    return np.concatenate(pieces)
+    lines = [_densified(edge, longest_m) for edge in edges]
+    return np.concatenate([np.stack([points[:-1], points[1:]], axis=1) for points in lines])
 
 
 def _span_m(grid: OccupancyGrid) -> float:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from deltasafe.studies.intervals import clopper_pearson, mean_upper_bound, upper_bound
 from deltasafe.studies.safety.motions import OUTCOMES
-from deltasafe.studies.safety.runs import N_BINS, SPEED_EDGES_MPS
+from deltasafe.studies.safety.runs import BY_SPEED, N_BINS, SPEED_EDGES_MPS
 from deltasafe.studies.safety.settings import METHODS, PARAMETRIC
 from deltasafe.studies.safety.study import SafetyStudy
 
@@ -163,8 +163,8 @@ def pair(study: SafetyStudy, other: str, delta: float) -> Pairing:
 
     trials, hit = study.trials, touched(study)
     rows = [np.flatnonzero(study.of(name, delta) & study.executed) for name in ("ours", other)]
-    numbers = [trials["scenario"][row] for row in rows]
-    _, first, second = np.intersect1d(*numbers, assume_unique=True, return_indices=True)
+    scenario = trials["scenario"]
+    _, first, second = np.intersect1d(scenario[rows[0]], scenario[rows[1]], assume_unique=True, return_indices=True)
     a, b = rows[0][first], rows[1][second]
     only_ours, only_other = int((hit[a] & ~hit[b]).sum()), int((hit[b] & ~hit[a]).sum())
     p_value = binomtest(only_ours, only_ours + only_other).pvalue if only_ours + only_other else 1.0
@@ -193,9 +193,9 @@ def by_speed(study: SafetyStudy, method: str, delta: float) -> tuple[SpeedBin, .
     done = study.of(method, delta) & study.executed
     bins = []
     for n in range(N_BINS):
-        counts = [int(study.trials[f"{name}_by_speed"][done, n].sum()) for name in ("poses", "unsafe", "touching")]
-        min_tool_m = float(study.trials["min_tool_by_speed_m"][done, n].min(initial=math.inf))
-        bins.append(SpeedBin(SPEED_EDGES_MPS[n], SPEED_EDGES_MPS[n + 1], *counts, min_tool_m))
+        poses, unsafe, touching = (int(study.trials[name][done, n].sum()) for name in BY_SPEED[:-1])
+        min_tool_m = float(study.trials[BY_SPEED[-1]][done, n].min(initial=math.inf))
+        bins.append(SpeedBin(SPEED_EDGES_MPS[n], SPEED_EDGES_MPS[n + 1], poses, unsafe, touching, min_tool_m))
     return tuple(bins)
 
 

@@ -2,6 +2,7 @@
 
 import pathlib
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -100,7 +101,7 @@ def _panels(figure: Figure, study: SafetyStudy) -> list[tuple[Axes, float]]:
     return panels
 
 
-def _handles(study: SafetyStudy, methods: Iterable[str], **style: object) -> list[Line2D]:
+def _handles(study: SafetyStudy, methods: Iterable[str], **style: Any) -> list[Line2D]:
     return [Line2D([], [], color=COLORS[name], label=study.label(name), **style) for name in methods]
 
 

@@ -41,13 +41,13 @@ def _draw_errors(ax: Axes, study: TrackingStudy) -> None:
     if outside.any():
         ax.plot(speed[outside], error[outside], "x", ms=4, color=PAPER, label="outside the bound")
     v = np.linspace(0, study.settings.v_max_mps, 50)
-    for name, line, style in (
-        ("identified", bound, {"color": BOUND, "lw": 2}),
-        ("paper's slope", paper_slope, {"color": PAPER, "lw": 1.5, "ls": "--"}),
-        ("paper", paper, {"color": PAPER, "lw": 1.5}),
+    for name, line, color, style in (
+        ("identified", bound, BOUND, "-"),
+        ("paper's slope", paper_slope, PAPER, "--"),
+        ("paper", paper, PAPER, "-"),
     ):
         label = f"{name}: {1e3 * line.gamma0_m:.2f} mm + {1e3 * line.gamma1_s:.2f} ms · v"
-        ax.plot(1e3 * v, 1e3 * line.error_m(v), label=label, **style)
+        ax.plot(1e3 * v, 1e3 * line.error_m(v), style, color=color, lw=1.8, label=label)
     ax.set_ylim(0, 2.2e3 * max(bound.error_m(v[-1]), tracks.error_m.max()))
     ax.set_xlim(0, 1e3 * v[-1])
     ax.set(xlabel="speed of the reference [mm/s]", ylabel="workspace error [mm]")
@@ -58,7 +58,7 @@ def _draw_errors(ax: Axes, study: TrackingStudy) -> None:
 def _draw_excesses(ax: Axes, study: TrackingStudy) -> None:
     bound, whole = study.bound, study.coverage()[0]
     excesses = [1e3 * runs.worst_of_runs(runs.excess_m(bound)) for runs in (study.bound_runs, study.held_out)]
-    edges = np.linspace(excesses[0].min(), max(0.1, excesses[0].max()), 50)
+    edges = list(np.linspace(excesses[0].min(), max(0.1, excesses[0].max()), 50))
     labels = ("runs that determine the constant", "held-out runs")
     for excess, color, label in zip(excesses, (COLORS[0], BOUND), labels, strict=True):
         weights = np.full(len(excess), 1 / len(excess))

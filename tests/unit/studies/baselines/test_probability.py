@@ -13,18 +13,17 @@ from scipy.stats import ncx2
 
 from deltasafe.errors import SettingsError
 from deltasafe.scene import Cuboid, Sphere
-from deltasafe.studies.baselines import (
-    GaussianObstacle,
-    collision_probability,
-    collision_probability_of_ball,
-    enclosing_obstacle,
-)
+from deltasafe.studies.baselines.obstacles import GaussianObstacle, enclosing_obstacle, obstacle_arrays
+from deltasafe.studies.baselines.probability import METHODS, collision_probability_of_ball, risk
 
 BOUNDS = ("chance_constraint", "max_probability")
 
 
-def one(obstacle, point, method, robot_radius_m=0.0, **options):
-    return float(collision_probability([obstacle], np.array([point]), robot_radius_m, method, **options)[0, 0])
+def one(obstacle, point, method, robot_radius_m=0.0, numeric_search=False):
+    """P(collision) by a method for a robot at a point."""
+    arrays = obstacle_arrays([obstacle], robot_radius_m, 0.0)
+    w = arrays.map[0] @ (np.asarray(point) - arrays.mean_m[0])
+    return risk(METHODS.index(method), numeric_search, tuple(w), tuple(arrays.spread[0]))
 
 
 def random_case(rng):
@@ -196,8 +195,3 @@ def test_impossible_obstacles_are_refused(change, message):
     usual = {"mean_m": (0.0, 0.0, 0.0), "semi_axes_m": (0.1,) * 3, "covariance_m2": tuple(map(tuple, np.eye(3)))}
     with pytest.raises(SettingsError, match=message):
         GaussianObstacle(**{**usual, **change})
-
-
-def test_unknown_methods_are_refused():
-    with pytest.raises(SettingsError, match="chance_constraint"):
-        collision_probability([GaussianObstacle.ball((0, 0, 0), 1, 1)], np.zeros((1, 3)), 0.0, "zhu")

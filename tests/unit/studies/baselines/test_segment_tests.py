@@ -11,14 +11,9 @@ from hypothesis import strategies as st
 from deltasafe.errors import SettingsError
 from deltasafe.planning import grow_tree, line_cost
 from deltasafe.planning.collision.segment_query import ask_segment
-from deltasafe.studies.baselines import (
-    JOINT_RISKS,
-    METHODS,
-    GaussianCheckSettings,
-    GaussianObstacle,
-    collision_probability,
-    gaussian_test,
-)
+from deltasafe.studies.baselines import GaussianCheckSettings, GaussianObstacle, gaussian_test
+from deltasafe.studies.baselines.obstacles import obstacle_arrays
+from deltasafe.studies.baselines.probability import JOINT_RISKS, METHODS, risk
 
 ROBOT_M, STEP_M = 0.03, 0.01
 
@@ -50,19 +45,20 @@ def keep_out_m(obstacle, robot_m, options):
 
 
 def answer_by_definition(obstacles, options, start, end):
-    """Test pose by pose with ``collision_probability`` and the mean shapes, without code of the segment test."""
+    """Test pose by pose with ``risk`` and the mean shapes, without code of the segment test."""
     pieces = math.ceil(np.linalg.norm((end - start)[:3]) / STEP_M - 1e-9)
     points = start[:3] + np.linspace(0, 1, pieces + 1)[:, None] * (end - start)[:3]
     radius = ROBOT_M + STEP_M / 2
-    p = collision_probability(obstacles, points, radius, options.method, options.sigma_level)
-    inside = collision_probability(obstacles, points, radius, "max_probability") >= 1.0
+    arrays = obstacle_arrays(obstacles, radius, options.sigma_level if options.method == "bounding_volume" else 0.0)
+    method, count = METHODS.index(options.method), len(obstacles)
+    w = np.einsum("nij,pnj->pni", arrays.map, points[:, None] - arrays.mean_m)
+    p = np.array([[risk(method, False, tuple(at[n]), tuple(arrays.spread[n])) for n in range(count)] for at in w])
     if options.method == "exact":  # decision 14; the bounds are 1 there already
-        local = [np.linalg.norm(_unit_frame(obstacle, points, radius), axis=1) <= 1 for obstacle in obstacles]
-        inside = np.stack(local, axis=1)
-        p = np.where(inside, 1.0, p)
+        inside = [np.linalg.norm(_unit_frame(obstacle, points, radius), axis=1) <= 1 for obstacle in obstacles]
+        p = np.where(np.stack(inside, axis=1), 1.0, p)
     if options.joint_risk == "noisy_or":
         return bool((1 - np.prod(1 - p, axis=1) <= options.delta).all())
-    return bool((p <= options.delta / (len(obstacles) if options.joint_risk == "boole" else 1)).all())
+    return bool((p <= options.delta / (count if options.joint_risk == "boole" else 1)).all())
 
 
 def _unit_frame(obstacle, points, radius):

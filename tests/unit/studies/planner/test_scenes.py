@@ -9,8 +9,17 @@ from deltasafe.errors import SettingsError
 from deltasafe.planning import DistanceField, body_clearance_m, segment_test
 from deltasafe.scene import Sphere, grid_from_shapes
 from deltasafe.studies.baselines import GaussianCheckSettings, enclosing_obstacle, gaussian_test
-from deltasafe.studies.planner import EllipticDisc, cluttered_scene, crowded_scene, simple_scene
-from deltasafe.studies.planner.scenes import GOAL, HIGHEST_POSE, LOWEST_POSE, START, WORKSPACE_M
+from deltasafe.studies.planner.scenes import (
+    GOAL,
+    HIGHEST_POSE,
+    LOWEST_POSE,
+    START,
+    WORKSPACE_M,
+    EllipticDisc,
+    cluttered_scene,
+    crowded_scene,
+    simple_scene,
+)
 
 
 @pytest.mark.parametrize(("scene", "count"), [(simple_scene(), 3), (cluttered_scene(), 8)], ids=lambda v: str(v)[:20])

@@ -32,9 +32,9 @@ def test_faces_enclose_the_occupied_cells():
 @pytest.mark.parametrize("draw", [search_from_above, search_in_space])
 def test_figures_show_obstacle_and_path(tmp_path, draw):
     tree, field = tree_and_field()
-    draw(tree, field, ToolBody(), tmp_path / "with.png", title="a search")
+    draw(tree, field, ToolBody(), tmp_path / "with.png", "a search")
     unsolved = SearchTree(tree.nodes, np.array([-1, -1, 0, 0]), tree.cost, -1)
-    draw(unsolved, field, ToolBody(), tmp_path / "without.png")
+    draw(unsolved, field, ToolBody(), tmp_path / "without.png", "no path")
     pictures = []
     for name in ("with", "without"):
         with Image.open(tmp_path / f"{name}.png") as picture:

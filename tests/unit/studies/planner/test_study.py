@@ -10,21 +10,19 @@ import pytest
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.studies.planner import (
-    MAIN,
     Comparison,
     ComparisonSettings,
     Timing,
     TimingSettings,
-    compared_methods,
-    effects_of_cost,
-    effects_of_time,
     n_plans,
-    paper_curves,
     run_comparison,
     run_timing,
     write_report,
 )
 from deltasafe.studies.planner.cost_comparison import MEASURES, SCENES
+from deltasafe.studies.planner.effects import effects_of_cost, effects_of_time
+from deltasafe.studies.planner.methods import MAIN, compared_methods
+from deltasafe.studies.planner.paper_curves import paper_curves
 from deltasafe.studies.planner.timing import TIMED
 from deltasafe.studies.resumable_jobs import Effort
 

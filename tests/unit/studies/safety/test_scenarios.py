@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from deltasafe.errors import SettingsError
 from deltasafe.scene import LoggedScene
-from deltasafe.studies.safety import METHODS, CameraSettings, SafetyStudySettings, TaskSettings
 from deltasafe.studies.safety.camera_noise import expose, photograph_again
 from deltasafe.studies.safety.obstacle_fit import MIN_SIGMA_M, fit_obstacles
 from deltasafe.studies.safety.scenarios import draw_scenario, draw_task, true_mask
+from deltasafe.studies.safety.settings import METHODS, CameraSettings, SafetyStudySettings, TaskSettings
 
 SCENE = LoggedScene.load(pathlib.Path(__file__).parents[4] / "datasets" / "scenes" / "scene_003")
 SETTINGS = SafetyStudySettings()

@@ -19,25 +19,21 @@ from deltasafe.scene import FieldSettings, LoggedScene
 from deltasafe.studies.intervals import upper_bound
 from deltasafe.studies.resumable_jobs import Effort
 from deltasafe.studies.safety import (
-    METHODS,
-    Prediction,
     SafetyStudy,
     SafetyStudySettings,
-    SceneRef,
     StudyInputs,
-    by_speed,
-    evaluate,
-    failures,
-    figures_of,
-    pair,
     replay,
     run_study,
     runs,
     write_report,
 )
+from deltasafe.studies.safety.evidence import by_speed, evaluate, failures, pair
 from deltasafe.studies.safety.motions import OUTCOMES
-from deltasafe.studies.safety.runs import BY_SPEED, COLUMNS, N_BINS, STAGES
+from deltasafe.studies.safety.predictors import Prediction
+from deltasafe.studies.safety.report import figures_of
+from deltasafe.studies.safety.runs import BY_SPEED, COLUMNS, N_BINS, STAGES, SceneRef
 from deltasafe.studies.safety.scenarios import true_mask
+from deltasafe.studies.safety.settings import METHODS
 
 SCENES = pathlib.Path(__file__).parents[4] / "datasets" / "scenes"
 SETTINGS = SafetyStudySettings(

@@ -12,21 +12,10 @@ from hypothesis import strategies as st
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.studies.resumable_jobs import Effort
-from deltasafe.studies.tracking import (
-    KINDS,
-    PHASES_OF_SPEED,
-    TrackingStudy,
-    TrackingStudySettings,
-    Tracks,
-    coverage_of,
-    draw_motion,
-    fit_bound,
-    fit_constant,
-    fit_slope,
-    run_study,
-    write_report,
-)
-from deltasafe.studies.tracking.tracking_errors import phases_of_speed
+from deltasafe.studies.tracking import TrackingStudy, TrackingStudySettings, run_study, write_report
+from deltasafe.studies.tracking.bound import coverage_of, fit_bound, fit_constant, fit_slope
+from deltasafe.studies.tracking.test_motions import KINDS, draw_motion
+from deltasafe.studies.tracking.tracking_errors import PHASES_OF_SPEED, Tracks, phases_of_speed
 
 SETTINGS = TrackingStudySettings()
 SMALL = TrackingStudySettings(
