@@ -201,9 +201,9 @@ def _ours_is_flat(found: Timing, name: str) -> Effect:
 def _slower_than_ours(found: Timing, name: str) -> Effect:
     """Find the smallest number of obstacles from which on the method is always slower than ours."""
     faster = np.flatnonzero(found.median_s(name) <= found.median_s("ours"))
-    place = int(faster[-1]) + 1 if len(faster) else 0
-    slower = place < len(found.settings.counts)
-    return Effect(slower, {"n_obstacles": found.settings.counts[place] if slower else None})
+    first = int(faster[-1]) + 1 if len(faster) else 0
+    slower = first < len(found.settings.counts)
+    return Effect(slower, {"n_obstacles": found.settings.counts[first] if slower else None})
 
 
 def _depends_on_samples(found: Timing) -> Effect:

@@ -53,7 +53,7 @@ class TrackingStudySettings:
         for name in ("content", "confidence"):
             if not 0 < getattr(self, name) < 1:
                 raise SettingsError(f"{name} must lie in (0, 1), got {getattr(self, name)}")
-        least = self.least_bound_runs
+        least = self.min_bound_runs
         if self.n_bound_runs < least:
             raise SettingsError(
                 f"n_bound_runs must be at least {least} for {self.content:.0%} at {self.confidence:.0%} confidence, "
@@ -72,7 +72,7 @@ class TrackingStudySettings:
             raise SettingsError(f"lower_m must lie below upper_m, got {self.lower_m} and {self.upper_m}")
 
     @property
-    def least_bound_runs(self) -> int:
+    def min_bound_runs(self) -> int:
         """Smallest n with 1 - content^n >= confidence (Wilks 1941): 299 for 99 % at 95 %."""
         return math.ceil(math.log(1 - self.confidence) / math.log(self.content) - 1e-12)
 

@@ -141,7 +141,7 @@ def run_study(
         DataError: a batch is damaged.
     """
     size, total = settings.runs_per_batch, settings.n_runs
-    of_run = dataclasses.replace(settings, n_slope_runs=1, n_bound_runs=settings.least_bound_runs, n_held_out_runs=1)
+    of_run = dataclasses.replace(settings, n_slope_runs=1, n_bound_runs=settings.min_bound_runs, n_held_out_runs=1)
     jobs = [(f"runs-{first:05d}", (of_run, first, min(first + size, total))) for first in range(0, total, size)]
     batches, effort = run_batches(record_runs, jobs, folder, workers, progress, executor=executor)
     names = [field.name for field in dataclasses.fields(Tracks)]

@@ -101,9 +101,9 @@ def test_wilks_bound_holds_with_its_confidence():
         runs = np.random.default_rng(seed).uniform(0, 1, 299)
         kept += runs.max() >= 0.99
     assert 0.92 <= kept / 400 < 0.99
-    assert SETTINGS.least_bound_runs == 299
-    assert TrackingStudySettings(content=0.95).least_bound_runs == 59
-    assert TrackingStudySettings(confidence=0.99).least_bound_runs == 459
+    assert SETTINGS.min_bound_runs == 299
+    assert TrackingStudySettings(content=0.95).min_bound_runs == 59
+    assert TrackingStudySettings(confidence=0.99).min_bound_runs == 459
 
 
 def test_coverage_counts_runs_and_samples():
