@@ -1,4 +1,4 @@
-"""Fig. 5 and Fig. 6: the planner against the compared methods."""
+"""The planner study: Fig. 5 (path cost) and Fig. 6 (search time), our planner against the compared methods."""
 
 import pathlib
 
@@ -15,7 +15,7 @@ from deltasafe.compute.executor import Executor
 PRESET = presets.active()
 GROUP = "planner_study"
 OWNERS = ["team:motion"]
-_SHOWN = ("fig5", "fig5_references", "fig6", "space")
+FIGURES = ("fig5", "fig5_references", "fig6", "space")
 
 ComparisonConfig = configurable(PRESET.comparison)
 TimingConfig = configurable(PRESET.timing)
@@ -29,7 +29,7 @@ class CostConfig(dg.Config):
 
 
 class TimeConfig(dg.Config):
-    """CPU time is measured; more `workers` than idle cores disturb each other."""
+    """The study measures CPU time; more `workers` than idle cores distort it."""
 
     study: TimingConfig = TimingConfig()
     workers: int = 2
@@ -43,17 +43,17 @@ def planner_costs(
     store: dg.ResourceParam[Store],
     executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
-    """Fig. 5: cost of planned paths over the uncertainty, four methods and references, every path checked again."""
-    from deltasafe.studies.planner import compare
+    """Fig. 5: cost of planned paths over the uncertainty, for four methods and references; every path is verified."""
+    from deltasafe.studies.planner import run_comparison
 
     batches = store.folder("planner_costs", "batches")
-    found = compare(config.study.settings(), batches, config.workers, progress_of(context), executor)
+    found = run_comparison(config.study.settings(), batches, config.workers, progress_of(context), executor)
     folder = store.folder("planner_costs", context.run_id[:8])
     found.save(folder)
     return dg.Output(folder, metadata={"minutes": found.effort.minutes, "CPU minutes": found.effort.cpu_minutes})
 
 
-# after the costs, so that nothing else runs while times are measured
+# after the costs, because parallel work would distort the measured times
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"numba"}, code_version="1", deps=[planner_costs], pool=ALL_CORES)
 @no_retry
 def planner_times(
@@ -62,11 +62,11 @@ def planner_times(
     store: dg.ResourceParam[Store],
     executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
-    """Fig. 6: time of a search over 1 to 100 obstacles, for all methods, the field given and the field built."""
-    from deltasafe.studies.planner import measure_times
+    """Fig. 6: time of a search over the number of obstacles, for all methods, without and with building the field."""
+    from deltasafe.studies.planner import run_timing
 
     batches = store.folder("planner_times", "batches")
-    found = measure_times(config.study.settings(), batches, config.workers, progress_of(context), executor)
+    found = run_timing(config.study.settings(), batches, config.workers, progress_of(context), executor)
     folder = store.folder("planner_times", context.run_id[:8])
     found.save(folder)
     return dg.Output(folder, metadata={"minutes": found.effort.minutes, "CPU minutes": found.effort.cpu_minutes})
@@ -80,17 +80,14 @@ def planner_report(
     planner_times: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """Which of the paper's effects hold and which do not, beside the paper's own curves."""
-    from deltasafe.studies.planner import Comparison, Timing, write_study
+    """Report: which statements of the paper hold here, with its curves for comparison."""
+    from deltasafe.studies.planner import Comparison, Timing, write_report
 
     folder = store.folder("planner_report", context.run_id[:8])
-    figures = write_study(Comparison.load(planner_costs), Timing.load(planner_times), folder)
+    figures = write_report(Comparison.load(planner_costs), Timing.load(planner_times), folder)
     metadata: Metadata = {
         "report": dg.MetadataValue.md((folder / "report.md").read_text(encoding="utf-8")),
-        **{
-            name: inline_picture(folder / f"{name}.png", 22_000)
-            for name in ("fig5", "fig5_references", "fig6", "space")
-        },
+        **{name: inline_picture(folder / f"{name}.png", 22_000) for name in FIGURES},
         **figures,
         "folder": str(folder),
     }

@@ -1,4 +1,4 @@
-"""Thousands of executed motions, and what they say about delta."""
+"""The safety study: thousands of executed motions, and their rates of violations and contacts."""
 
 import pathlib
 
@@ -21,9 +21,9 @@ StudyConfig = configurable(PRESET.safety_study)
 
 
 class TrialsConfig(dg.Config):
-    """`scenes` are folders of scene folders, none for the packaged ones; `n_scenes` (0: all) are taken of each.
+    """`scenes` are folders of scene folders; empty selects the packaged ones. `n_scenes` are used of each (0: all).
 
-    `ensemble` is the folder of a frozen one; empty for the one in use.
+    `ensemble` is the folder of a frozen ensemble; empty selects the one in use.
     """
 
     study: StudyConfig = StudyConfig()
@@ -49,13 +49,15 @@ def safety_trials(
     registry: dg.ResourceParam[Registry],
     executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
-    """Motions planned and executed: ours, single members, no schedule, the compared methods, at every delta."""
+    """Motions planned and executed by our method and the compared methods, at every delta."""
     from deltasafe.studies.safety import StudyInputs, run_study
 
     folders = config.scenes or [str(store.dataset("", "scenes")[0])]
     ensemble = config.ensemble or registry.champion()
     if not ensemble:
-        raise SettingsError("there is no ensemble in use yet: make one with `make demo`, or name a frozen one")
+        raise SettingsError(
+            "there is no ensemble in use yet; run `make demo`, or set `ensemble` to the folder of a frozen ensemble"
+        )
     inputs = StudyInputs.gather(folders, ensemble, config.n_scenes)
     batches = store.folder("safety_trials", "batches")
     found = run_study(config.study.settings(), inputs, batches, config.workers, progress_of(context), executor)
@@ -70,11 +72,11 @@ def safety_trials(
 def safety_study_report(
     context: dg.AssetExecutionContext, safety_trials: pathlib.Path, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
-    """Rates of violation with exact intervals, clearances, comparisons; failures are listed and filmed."""
-    from deltasafe.studies.safety import SafetyStudy, write_safety_study
+    """Report: rates of violations with exact intervals, clearances, comparisons; failures are listed and filmed."""
+    from deltasafe.studies.safety import SafetyStudy, write_report
 
     folder = store.folder("safety_study_report", context.run.run_id[:8])
-    figures = write_safety_study(SafetyStudy.load(safety_trials), folder, progress_of(context, every_s=2.0))
+    figures = write_report(SafetyStudy.load(safety_trials), folder, progress_of(context, every_s=2.0))
     films = [inline_picture(film, 30_000) for film in sorted(folder.glob("*.gif"))[:1]]
     metadata: Metadata = {
         "report": dg.MetadataValue.md((folder / "report.md").read_text(encoding="utf-8")),

@@ -1,4 +1,4 @@
-"""gamma(v), identified on the simulated arm."""
+"""The tracking study: identification of the tracking bound gamma(v) on the simulated arm."""
 
 import pathlib
 
@@ -20,7 +20,7 @@ StudyConfig = configurable(PRESET.tracking_study)
 
 
 class TrackingConfig(dg.Config):
-    """Run k has the seed `first_seed` + k; the number of `workers` changes nothing."""
+    """Run k has the seed `first_seed` + k. The number of `workers` does not change the results."""
 
     study: StudyConfig = StudyConfig()
     workers: int = 2
@@ -34,15 +34,15 @@ def tracking_bound(
     store: dg.ResourceParam[Store],
     executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
-    """The tracking error of test motions over the workspace, a tolerance bound from it, and its held-out coverage."""
-    from deltasafe.studies.tracking import run_study, write_tracking_report
+    """The tracking bound gamma(v): a tolerance bound of the tracking error of test motions, tested on held-out runs."""
+    from deltasafe.studies.tracking import run_study, write_report
 
     batches = store.folder("tracking_bound", "batches")
     study = run_study(config.study.settings(), batches, config.workers, progress_of(context), executor)
     folder = store.folder("tracking_bound", context.run_id[:8])
     study.save(folder)
     report = folder.with_name(f"{folder.name}-report")
-    figures = write_tracking_report(study, report)
+    figures = write_report(study, report)
     metadata: Metadata = {
         "report": dg.MetadataValue.md((report / "report.md").read_text(encoding="utf-8")),
         "error over speed": inline_picture(report / "tracking.png"),
@@ -52,10 +52,12 @@ def tracking_bound(
     return dg.Output(folder, metadata=metadata)
 
 
-@dg.asset_check(asset="tracking_bound", description="The bound holds what it promises on runs that it has not seen.")
+@dg.asset_check(
+    asset="tracking_bound", description="The fraction of held-out runs within the bound is at least `content`."
+)
 def bound_covers_held_out_runs(tracking_bound: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.studies.tracking import TrackingStudy
 
     study = TrackingStudy.load(tracking_bound)
-    coverage = {one.name: one.of_runs for one in study.coverage()}
+    coverage = {one.name: one.run_fraction for one in study.coverage()}
     return dg.AssetCheckResult(passed=coverage["all"] >= study.settings.content, metadata=coverage)

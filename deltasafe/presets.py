@@ -68,9 +68,9 @@ PRESETS = {
             sizes=(50, 100), n_members=2, n_members_most=3, n_members_ablation=1, left_out=("background",)
         ),
         motion=MotionSettings(delta=0.5),
-        comparison=ComparisonSettings(n_levels=2, n_runs=3, n_runs_beside=2, n_iterations=500, voxel_m=0.01),
+        comparison=ComparisonSettings(n_levels=2, n_runs=3, n_runs_reference=2, n_iterations=500, voxel_m=0.01),
         timing=TimingSettings(counts=(1, 5, 20), n_runs=2, n_iterations=500, voxel_m=0.01),
-        safety_study=SafetyStudySettings(deltas=(0.05, 0.45), n_executions=2, n_bootstrap=100, n_films=1),
+        safety_study=SafetyStudySettings(deltas=(0.05, 0.45), n_executions=2, n_films=1),
         tracking_study=TrackingStudySettings(
             n_slope_runs=4, n_bound_runs=7, n_held_out_runs=5, runs_per_batch=4, content=0.7, confidence=0.9
         ),

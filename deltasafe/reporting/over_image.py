@@ -1,4 +1,4 @@
-"""A motion over the image it was planned from, three plots over its way beside it: what such pictures share."""
+"""Parts shared by figures that show a motion over its image, with three plots over path length beside it."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ __all__ = [
     "INK",
     "LIMIT",
     "SIGNAL",
-    "draw_level",
+    "draw_delta_contour",
     "draw_speed",
     "finish_image",
     "finish_plots",
@@ -33,10 +33,10 @@ INK, SIGNAL, LIMIT, CLEAR = "#1b1f24", "#0a7d6c", "#d1495b", "#3366aa"
 def image_and_plots(
     rgb: NDArray[np.uint8], p_occupied_image: NDArray[np.float32], camera: Camera
 ) -> tuple[Figure, Axes, list[Axes]]:
-    """Figure, axes of the image, and three axes that share their way.
+    """Create the figure with the image; return it, the image's axes and three axes with a common x axis.
 
     Raises:
-        SettingsError: images and camera differ in size.
+        SettingsError: the image or the probabilities do not have the size of the camera.
     """
     if rgb.shape != (camera.height, camera.width, 3) or p_occupied_image.shape != rgb.shape[:2]:
         raise SettingsError(
@@ -51,8 +51,8 @@ def image_and_plots(
     return figure, image, [first, *(figure.add_subplot(grid[row, 1], sharex=first) for row in (1, 2))]
 
 
-def draw_level(ax: Axes, p_occupied_image: NDArray[np.float32], delta: float) -> Line2D:
-    """Contour of delta; returns its entry in a legend."""
+def draw_delta_contour(ax: Axes, p_occupied_image: NDArray[np.float32], delta: float) -> Line2D:
+    """Draw the contour p_occupied = delta; return its legend entry."""
     height, width = p_occupied_image.shape
     if p_occupied_image.min() <= delta < p_occupied_image.max():
         rows, columns = np.arange(height) + 0.5, np.arange(width) + 0.5
@@ -62,19 +62,19 @@ def draw_level(ax: Axes, p_occupied_image: NDArray[np.float32], delta: float) ->
 
 
 def draw_speed(
-    figure: Figure, ax: Axes, uv: Array, speed_mps: Array, most_mps: float, label: str, **style: Any
+    figure: Figure, ax: Axes, uv: Array, speed_mps: Array, max_speed_mps: float, label: str, **style: Any
 ) -> None:
-    """A way (N, 2) in pixels, colored by the speed (N,) along it, with its scale below the image."""
+    """Draw a path (N, 2) in pixels, colored by speed (N,), with a color bar below the image."""
     lines = LineCollection(list(np.stack([uv[:-1], uv[1:]], axis=1)), cmap="viridis", **style)
     lines.set_array(1000 * (speed_mps[:-1] + speed_mps[1:]) / 2)
-    lines.set_clim(0, 1000 * most_mps)
+    lines.set_clim(0, 1000 * max_speed_mps)
     ax.add_collection(lines)
     bar = ax.inset_axes((0.15, -0.055, 0.7, 0.022))
     figure.colorbar(lines, cax=bar, orientation="horizontal").set_label(f"{label} [mm/s]")
 
 
 def mark_ends(ax: Axes, uv: Array) -> list[Line2D]:
-    """Start and goal of a way (N, 2); returns their entries in a legend."""
+    """Mark start and goal of a path (N, 2) in pixels; return their legend entries."""
     handles = []
     for label, point, marker in (("start", uv[0], "o"), ("goal", uv[-1], "s")):
         ax.plot(*point, marker, ms=9, mfc="white", mec=INK, mew=1.8, ls="none")
@@ -83,13 +83,13 @@ def mark_ends(ax: Axes, uv: Array) -> list[Line2D]:
 
 
 def finish_image(ax: Axes, handles: list[Line2D], camera: Camera) -> None:
-    """Legend, and no more than the image."""
+    """Add the legend and limit the axes to the image."""
     ax.legend(handles=handles, loc="upper left", ncols=2, fontsize=8, framealpha=0.9)
     ax.set(xlim=(0, camera.width), ylim=(camera.height, 0), xticks=[], yticks=[])
 
 
 def finish_plots(axes: list[Axes]) -> None:
-    """Grid and legends, in a strip above that is clear of the curves; one way below all of them."""
+    """Add grids and legends; the legend gets a strip above the curves. Only the last axes keep tick labels."""
     for ax in axes:
         ax.margins(x=0.01)
         ax.grid(color="#d8dbe0", lw=0.6)

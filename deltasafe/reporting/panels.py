@@ -1,4 +1,4 @@
-"""Plots in panels side by side, as the studies have them: one look for all."""
+"""Figure, axes and file settings that all plots share."""
 
 import pathlib
 
@@ -8,24 +8,24 @@ from matplotlib.figure import Figure
 
 from deltasafe.io.storage import atomic_file
 
-__all__ = ["clean", "new_figure", "save"]
+__all__ = ["new_figure", "save", "style_axes"]
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """An empty white figure."""
+    """Create an empty white figure with constrained layout."""
     figure = Figure(figsize=(width_in, height_in), dpi=130, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def clean(ax: Axes) -> None:
-    """A faint grid behind what is drawn, no frame above and to the right."""
+def style_axes(ax: Axes) -> None:
+    """Draw a faint grid behind the data and remove the upper and right spines."""
     ax.grid(color="#e1e4e8", lw=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
 
 
 def save(figure: Figure, destination: str | pathlib.Path) -> None:
-    """Write the figure atomically; the suffix chooses the format."""
+    """Write the figure atomically; the suffix selects the format."""
     with atomic_file(destination) as temporary:
         figure.savefig(temporary)

@@ -1,4 +1,4 @@
-"""Report texts as Jinja2 templates: prose that can be read and corrected without reading code."""
+"""Report texts as Jinja2 templates, so that prose can be edited without touching code."""
 
 import functools
 import importlib.resources
@@ -10,9 +10,9 @@ __all__ = ["render"]
 
 
 def render(package: str, name: str, **values: Any) -> str:
-    """Fill the template ``templates/NAME`` of a package.
+    """Render the template ``templates/NAME`` of a package.
 
-    Templates call ``table(head, rows)``, ``percent`` and ``plus_minus`` of `deltasafe.reporting.markdown`.
+    ``table(head, rows)``, ``percent`` and ``plus_minus`` of `deltasafe.reporting.markdown` are available in templates.
 
     Args:
         package: dotted name of the package that holds the folder ``templates``.
@@ -30,7 +30,7 @@ def _environment(package: str) -> Any:
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
         undefined=jinja2.StrictUndefined,
-        autoescape=False,  # Markdown, from our own values
+        autoescape=False,  # the output is Markdown, and all values are our own
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,

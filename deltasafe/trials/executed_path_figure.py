@@ -17,7 +17,7 @@ from deltasafe.reporting.over_image import (
     INK,
     LIMIT,
     SIGNAL,
-    draw_level,
+    draw_delta_contour,
     draw_speed,
     finish_image,
     finish_plots,
@@ -93,7 +93,7 @@ def _draw_image(
     speed: Array,
 ) -> None:
     judged = execution.judged
-    level = draw_level(ax, p_occupied_image, motion.settings.delta)
+    level = draw_delta_contour(ax, p_occupied_image, motion.settings.delta)
     planned, _ = camera.project(execution.reference_poses[judged, :3])
     driven, _ = camera.project(execution.tool_positions_m[judged])
     ax.plot(*planned.T, color="white", lw=5.0, solid_capstyle="round")

@@ -14,7 +14,7 @@ from deltasafe.reporting.over_image import (
     INK,
     LIMIT,
     SIGNAL,
-    draw_level,
+    draw_delta_contour,
     draw_speed,
     finish_image,
     finish_plots,
@@ -83,7 +83,7 @@ def _draw_image(
     veil[..., :3] = (0.82, 0.29, 0.36)
     veil[..., 3] = 0.45 * p_occupied_image
     ax.imshow(veil, extent=(0.0, camera.width, camera.height, 0.0))
-    handles = [draw_level(ax, p_occupied_image, delta)]
+    handles = [draw_delta_contour(ax, p_occupied_image, delta)]
     path = motion.result.path
     if path is not None:
         shown = motion.profile.poses if motion.profile is not None else path.poses

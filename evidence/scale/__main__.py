@@ -23,7 +23,7 @@ from deltasafe.compute.ray_executor import RayExecutor, RaySettings
 from deltasafe.errors import DeltasafeError
 from deltasafe.io.storage import digest_of, read_json
 from deltasafe.presets import VARIABLE
-from deltasafe.studies.planner import ComparisonSettings, compare, contenders
+from deltasafe.studies.planner import ComparisonSettings, n_plans, run_comparison
 from evidence.reporting import command_parser, finish
 from evidence.scale.checks import augmentation_costs, chain_digests, check_both_ran, megabytes, study_digest
 from evidence.scale.local_cluster import LocalCluster, enter_namespaces
@@ -102,9 +102,8 @@ class Study:
     """A planner study that runs on this machine and on the cluster."""
 
     def __init__(self, n_runs: int, n_iterations: int, folder: pathlib.Path, cluster: LocalCluster) -> None:
-        self.settings = ComparisonSettings(n_levels=14, n_runs=n_runs, n_runs_beside=2, n_iterations=n_iterations)
-        per_level = sum(n_runs if method.is_main else 2 for method in contenders(self.settings))
-        self.n_plans = 2 * self.settings.n_levels * per_level
+        self.settings = ComparisonSettings(n_levels=14, n_runs=n_runs, n_runs_reference=2, n_iterations=n_iterations)
+        self.n_plans = n_plans(self.settings)
         self.folder, self.cluster = folder, cluster
 
     def compare_hosts(self) -> tuple[dict[str, float], bool]:
@@ -145,15 +144,15 @@ class Study:
 
     def _run(self, name: str, executor: Executor, progress: Progress = silent) -> tuple[str, float]:
         began_s = time.monotonic()
-        digest = study_digest(compare(self.settings, self.folder / name, 1, progress, executor))
+        digest = study_digest(run_comparison(self.settings, self.folder / name, 1, progress, executor))
         took_s = time.monotonic() - began_s
         print(f"  {self.n_plans} plans, {name}: {took_s:.1f} s, digest {digest[:16]}", flush=True)
         return digest, took_s
 
     def _warm_up(self, name: str, executor: RayExecutor) -> None:
         """Let every worker load and compile what it needs."""
-        few = dataclasses.replace(self.settings, n_levels=2 * N_HOSTS, n_runs=2, n_runs_beside=2, n_iterations=50)
-        compare(few, self.folder / name, 1, silent, executor)
+        few = dataclasses.replace(self.settings, n_levels=2 * N_HOSTS, n_runs=2, n_runs_reference=2, n_iterations=50)
+        run_comparison(few, self.folder / name, 1, silent, executor)
 
 
 def _kill_driver(cluster: LocalCluster) -> bool:

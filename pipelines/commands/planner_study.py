@@ -1,4 +1,4 @@
-"""`make planner-study`: Fig. 5 and Fig. 6 as one Dagster run; finished batches are found again."""
+"""`make planner-study`: run the planner study (Fig. 5 and Fig. 6) as one Dagster run; finished batches are reused."""
 
 import argparse
 import os
@@ -14,20 +14,22 @@ __all__ = ["main"]
 
 
 def planner_study():  # type: ignore[no-untyped-def]
-    """The job, found again by name in the processes of its steps."""
+    """Return the job; the processes of its steps import it by this name."""
     from pipelines.definitions import defs
 
     return defs().resolve_job_def("planner_study")
 
 
 def main() -> int:
-    """Run the job; 0 if every step passed, 1 otherwise."""
+    """Run the job; return 0 on success, 1 otherwise."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.commands.planner_study", description=__doc__)
-    parser.add_argument("--record", type=pathlib.Path, help="also write the figures to this file (docs/results/...)")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one a core by default")
+    parser.add_argument("--record", type=pathlib.Path, help="merge the figures into this file (docs/results/...)")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="number of processes (default: one per core)"
+    )
     options = parser.parse_args()
     root = prepare_home()
-    print(f"Everything that is made goes to {root}", flush=True)
+    print(f"Results are written to {root}", flush=True)
 
     import dagster as dg
 
@@ -45,7 +47,7 @@ def main() -> int:
 
 
 def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathlib.Path) -> None:
-    """Figures with what made them, and beside them the report with its pictures in sizes that a page can show."""
+    """Merge the figures into the record; copy the report beside it, with smaller images."""
     from pipelines.commands.records import merge_part
 
     costs, times = (read_json(folder / f"{name}_runs" / "study.json")["settings"] for name in ("fig5", "fig6"))
@@ -67,8 +69,8 @@ def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathli
 def _print_summary(folder: pathlib.Path, figures: dict[str, float]) -> None:
     effects = {name.removeprefix("holds_"): bool(value) for name, value in figures.items() if name.startswith("holds_")}
     print(f"\nFig. 5: {figures['plans']:.0f} plans in {figures['fig5_minutes']:.1f} minutes ", end="")
-    print(f"({figures['fig5_cpu_minutes']:.1f} of one core); Fig. 6: {figures['fig6_minutes']:.1f} minutes ", end="")
-    print(f"({figures['fig6_cpu_minutes']:.1f})\n")
+    print(f"({figures['fig5_cpu_minutes']:.1f} CPU minutes); Fig. 6: {figures['fig6_minutes']:.1f} minutes ", end="")
+    print(f"({figures['fig6_cpu_minutes']:.1f} CPU minutes)\n")
     for name, holds in effects.items():
         print(f"  {'holds         ' if holds else 'does not hold '} {name.replace('_', ' ')}")
     print(f"\n  report  {folder / 'report.md'}")

@@ -1,4 +1,4 @@
-"""`make safety-study`: thousands of executed motions as one Dagster run; finished situations are found again."""
+"""`make safety-study`: run the safety study as one Dagster run; finished scenarios are reused."""
 
 import argparse
 import os
@@ -16,29 +16,33 @@ __all__ = ["main"]
 
 
 def safety_study():  # type: ignore[no-untyped-def]
-    """The job, found again by name in the processes of its steps."""
+    """Return the job; the processes of its steps import it by this name."""
     from pipelines.definitions import defs
 
     return defs().resolve_job_def("safety_study")
 
 
 def main() -> int:
-    """Run the job, or film one trial of the last run; 0 if every step passed, 1 otherwise."""
+    """Run the job, or film one trial of the last run; return 0 on success, 1 otherwise."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.commands.safety_study", description=__doc__)
-    parser.add_argument("--record", type=pathlib.Path, help="also merge the figures into this file (docs/results/...)")
-    parser.add_argument("--scenes", type=pathlib.Path, nargs="+", metavar="DIR", help="folders of scenes; the packaged")
-    parser.add_argument("--executions", type=int, help="motions to execute at least")
+    parser.add_argument("--record", type=pathlib.Path, help="merge the figures into this file (docs/results/...)")
     parser.add_argument(
-        "--ensemble", type=pathlib.Path, metavar="DIR", help="a frozen ensemble; the one in use by default"
+        "--scenes", type=pathlib.Path, nargs="+", metavar="DIR", help="folders of scenes (default: packaged)"
     )
-    parser.add_argument("--gamma", type=float, nargs=2, metavar=("GAMMA0_M", "GAMMA1_S"), help="another tracking bound")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one a core by default")
+    parser.add_argument("--executions", type=int, help="smallest number of executed motions")
+    parser.add_argument(
+        "--ensemble", type=pathlib.Path, metavar="DIR", help="a frozen ensemble (default: the one in use)"
+    )
+    parser.add_argument("--gamma", type=float, nargs=2, metavar=("GAMMA0_M", "GAMMA1_S"), help="tracking bound")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="number of processes (default: one per core)"
+    )
     parser.add_argument("--film", type=int, metavar="TRIAL", help="only film this trial of the last run")
     options = parser.parse_args()
     root = prepare_home()
     if options.film is not None:
         return _film(root, options.film)
-    print(f"Everything that is made goes to {root}", flush=True)
+    print(f"Results are written to {root}", flush=True)
 
     import dagster as dg
 
@@ -71,9 +75,9 @@ def _film(root: pathlib.Path, trial: int) -> int:
 
     try:
         study = SafetyStudy.load(made(root, "safety_trials"))
-        eyes = study.inputs.eyes
-        assert eyes is not None
-        scene, execution = replay(study.settings, study.inputs.scenes, eyes, trial)
+        predictor = study.inputs.predictor
+        assert predictor is not None
+        scene, execution = replay(study.settings, study.inputs.scenes, predictor, trial)
         film = pathlib.Path(f"trial-{trial}.gif")
         save_film(film, execution, scene.camera, scene.true_mesh(), table_z_m=scene.table_z_m)
     except DeltasafeError as error:
@@ -84,7 +88,7 @@ def _film(root: pathlib.Path, trial: int) -> int:
 
 
 def _record(options: argparse.Namespace, figures: dict[str, float], folder: pathlib.Path) -> None:
-    """Merge into the record: figures that others put there stay; the report lies beside it, pictures reduced."""
+    """Merge the figures into the record; copy the report beside it, with smaller images."""
     from pipelines.commands.records import merge_part
 
     destination: pathlib.Path = options.record
@@ -109,7 +113,7 @@ def _record(options: argparse.Namespace, figures: dict[str, float], folder: path
 
 def _print_summary(folder: pathlib.Path, figures: dict[str, float]) -> None:
     print(f"\n{figures['executions']:.0f} motions executed in {figures['minutes']:.1f} minutes ", end="")
-    print(f"({figures.get('realtime_factor', 0.0):.1f} times as fast as the arm), {figures['failures']:.0f} failures\n")
+    print(f"({figures.get('realtime_factor', 0.0):.1f} times real time), {figures['failures']:.0f} failures\n")
     for name in sorted(figures):
         if name.startswith(("violation_upper95", "joint_", "contacts")):
             print(f"  {name:40s} {figures[name]:g}")

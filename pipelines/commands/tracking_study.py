@@ -1,12 +1,13 @@
-"""`make tracking-study`: gamma(v) identified as one Dagster run; finished batches are found again."""
+"""`make tracking-study`: run the tracking study as one Dagster run; finished batches are reused."""
 
 import argparse
 import os
 import pathlib
 import sys
 
-from deltasafe.io.storage import atomic_folder, read_json
+from deltasafe.io.storage import read_json
 from deltasafe.presets import VARIABLE
+from pipelines.commands.pictures import record_report
 from pipelines.commands.records import merge_part
 from pipelines.home import prepare_home
 
@@ -14,27 +15,29 @@ __all__ = ["main"]
 
 
 def tracking_study():  # type: ignore[no-untyped-def]
-    """The job, found again by name in the processes of its steps."""
+    """Return the job; the processes of its steps import it by this name."""
     from pipelines.definitions import defs
 
     return defs().resolve_job_def("tracking_study")
 
 
 def main() -> int:
-    """Run the job; 0 if every step passed, 1 otherwise."""
+    """Run the job; return 0 on success, 1 otherwise."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.commands.tracking_study", description=__doc__)
-    parser.add_argument("--record", type=pathlib.Path, help="also merge the figures into this file (docs/results/...)")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one a core by default")
+    parser.add_argument("--record", type=pathlib.Path, help="merge the figures into this file (docs/results/...)")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="number of processes (default: one per core)"
+    )
     options = parser.parse_args()
     root = prepare_home()
-    print(f"Everything that is made goes to {root}", flush=True)
+    print(f"Results are written to {root}", flush=True)
 
     import dagster as dg
 
     from pipelines.commands.run_job import made, succeeded
 
     steps = {"tracking_bound": {"workers": options.workers}}
-    if not succeeded(dg.reconstructable(tracking_study), steps, "The same command"):
+    if not succeeded(dg.reconstructable(tracking_study), steps, "`make tracking-study`"):
         return 1
     folder = made(root, "tracking_bound")
     report = folder.with_name(f"{folder.name}-report")
@@ -48,7 +51,7 @@ def main() -> int:
 
 
 def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathlib.Path, report: pathlib.Path) -> None:
-    """Merge the figures into the record; the report lies beside it."""
+    """Merge the figures into the record; copy the report beside it, with smaller images."""
     preset = os.environ.get(VARIABLE) or "default"
     command = "python -m pipelines.commands.tracking_study"
     settings = read_json(folder / "study.json")["settings"]
@@ -60,9 +63,7 @@ def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathli
         seeds={"runs_from": settings["first_seed"]},
         settings=settings,
     )
-    with atomic_folder(destination.parent / "tracking_study") as temporary:
-        for name in ("report.md", "tracking.png"):
-            (temporary / name).write_bytes((report / name).read_bytes())
+    record_report(report, destination.parent / "tracking_study")
 
 
 if __name__ == "__main__":

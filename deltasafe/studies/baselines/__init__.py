@@ -1,27 +1,29 @@
-"""The compared methods: collision chance constraints for obstacles of known shape at a Gaussian position."""
+"""Compared methods: chance constraints for obstacles of known shape at Gaussian positions."""
 
-from deltasafe.studies.baselines.in_view import GaussianTestInView
 from deltasafe.studies.baselines.obstacles import GaussianObstacle, enclosing_obstacle
-from deltasafe.studies.baselines.probability import (
-    JOINT_RISKS,
-    METHODS,
-    collision_probability,
-    collision_probability_of_ball,
-    joint_probability,
-)
-from deltasafe.studies.baselines.segment_tests import GaussianCheckSettings, GaussianTest, gaussian_test, keep_out_m
+from deltasafe.studies.baselines.segment_tests import GaussianCheckSettings, GaussianTestInView, gaussian_test
 
 __all__ = [
-    "JOINT_RISKS",
-    "METHODS",
+    "COLORS",
+    "LABELS",
     "GaussianCheckSettings",
     "GaussianObstacle",
-    "GaussianTest",
     "GaussianTestInView",
-    "collision_probability",
-    "collision_probability_of_ball",
     "enclosing_obstacle",
     "gaussian_test",
-    "joint_probability",
-    "keep_out_m",
 ]
+
+LABELS = {
+    "chance_constraint": "Chance constraint",
+    "bounding_volume": "Bounding volume",
+    "max_probability": "Max. prob. approx.",
+}
+"""Names of the compared methods in figures and tables."""
+
+COLORS = {
+    "ours": "#C8102E",
+    "chance_constraint": "#1b1f24",
+    "bounding_volume": "#2a9d4a",
+    "max_probability": "#1f5fbf",
+}
+"""Colors of the four methods in the paper's figures: red, black, green, blue."""

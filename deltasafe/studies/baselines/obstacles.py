@@ -1,4 +1,4 @@
-"""Obstacles of known shape and orientation at a Gaussian position: what the compared methods are told."""
+"""Obstacles of known shape and orientation at a Gaussian position: the input of the compared methods."""
 
 import dataclasses
 import math
@@ -21,10 +21,10 @@ class GaussianObstacle:
     """An ellipsoid whose center is distributed as N(mean, covariance).
 
     Attributes:
-        mean_m: expected center.
-        semi_axes_m: of the ellipsoid along its own axes; three equal ones make a ball.
+        mean_m: mean of the center.
+        semi_axes_m: along the axes of the ellipsoid; three equal values make a ball.
         covariance_m2: (3, 3) of the center in the world frame, positive definite.
-        yaw_rad: turn of the ellipsoid's axes about the vertical.
+        yaw_rad: rotation of the ellipsoid about the vertical axis.
 
     Raises:
         SettingsError: a value is not finite, a semi-axis not positive, or the covariance not positive definite.
@@ -37,7 +37,7 @@ class GaussianObstacle:
 
     def __post_init__(self) -> None:
         if not np.isfinite([*self.mean_m, self.yaw_rad]).all():
-            raise SettingsError(f"an obstacle needs a finite place, got {self.mean_m} and yaw {self.yaw_rad}")
+            raise SettingsError(f"mean_m and yaw_rad must be finite, got {self.mean_m} and {self.yaw_rad}")
         if not all(math.isfinite(value) and value > 0 for value in self.semi_axes_m):
             raise SettingsError(f"semi_axes_m must be positive, got {self.semi_axes_m}")
         covariance = np.asarray(self.covariance_m2, dtype=np.float64)
@@ -49,22 +49,18 @@ class GaussianObstacle:
 
     @classmethod
     def ball(cls, mean_m: Triple, radius_m: float, sigma_m: float) -> "GaussianObstacle":
-        """A ball with the isotropic noise of section V-B, N(mean, sigma^2 I)."""
+        """Create a ball with isotropic noise N(mean, sigma^2 I), as in section V-B."""
         return cls(mean_m, (radius_m,) * 3, isotropic_covariance(sigma_m))
-
-    @property
-    def is_ball(self) -> bool:
-        return len(set(self.semi_axes_m)) == 1
 
 
 def isotropic_covariance(sigma_m: float) -> tuple[Triple, Triple, Triple]:
-    """sigma^2 I."""
+    """Return sigma^2 I."""
     variance = float(sigma_m) ** 2
     return (variance, 0.0, 0.0), (0.0, variance, 0.0), (0.0, 0.0, variance)
 
 
 def enclosing_obstacle(shape: Shape, sigma_m: float) -> GaussianObstacle:
-    """A sphere as it is; a cuboid as the least ellipsoid around it, its half edges times the root of 3."""
+    """Convert a sphere to a ball, and a cuboid to its smallest enclosing ellipsoid (half edges times sqrt(3))."""
     if isinstance(shape, Sphere):
         return GaussianObstacle.ball(shape.center_m, shape.radius_m, sigma_m)
     x, y, z = (math.sqrt(3) * half_m for half_m in shape.half_extents_m)
@@ -73,9 +69,9 @@ def enclosing_obstacle(shape: Shape, sigma_m: float) -> GaussianObstacle:
 
 @dataclasses.dataclass(frozen=True)
 class ObstacleArrays:
-    """Obstacles in the frame in which all methods are simple: w = map (p - mean), collision iff |w| <= 1.
+    """Obstacles as whitening maps w = map (p - mean), with a collision iff |w| <= 1.
 
-    The obstacle, grown by the robot's ball, is the unit ball there, and w has the covariance diag(spread).
+    In this frame the obstacle, grown by the robot's ball, is the unit ball, and w has the covariance diag(spread).
 
     Attributes:
         mean_m: (n, 3).
@@ -91,14 +87,14 @@ class ObstacleArrays:
 
 
 def obstacle_arrays(obstacles: Sequence[GaussianObstacle], robot_radius_m: float, hull_level: float) -> ObstacleArrays:
-    """Grow obstacles by the robot's ball (a + r, Zhu and Alonso-Mora 2019, eq. 3) and turn to their eigenframe.
+    """Grow obstacles by the robot's ball (a + r, Zhu and Alonso-Mora 2019, eq. 3) and diagonalize their covariance.
 
-    For a ball a + r is the Minkowski sum; for an ellipsoid it lies a little inside of it, as published.
+    For a ball, a + r is the Minkowski sum. For an ellipsoid it is slightly smaller, as published.
 
     Args:
-        obstacles: n of them.
+        obstacles: n obstacles.
         robot_radius_m: radius of the ball that encloses the robot.
-        hull_level: semi-axes are enlarged further by this times the largest standard deviation (Kamel 2017).
+        hull_level: enlarges semi-axes by this multiple of the largest standard deviation (Kamel 2017).
     """
     if not (math.isfinite(robot_radius_m) and robot_radius_m >= 0):
         raise SettingsError(f"robot_radius_m must not be negative, got {robot_radius_m}")
@@ -110,10 +106,10 @@ def obstacle_arrays(obstacles: Sequence[GaussianObstacle], robot_radius_m: float
         axes = np.asarray(obstacle.semi_axes_m) + robot_radius_m + hull_level * largest_sigma_m
         cos, sin = math.cos(obstacle.yaw_rad), math.sin(obstacle.yaw_rad)
         to_axes = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        root = to_axes / axes[:, None]
-        values, vectors = np.linalg.eigh(root @ covariance @ root.T)
+        to_unit_ball = to_axes / axes[:, None]
+        values, vectors = np.linalg.eigh(to_unit_ball @ covariance @ to_unit_ball.T)
         if values[-1] - values[0] <= 1e-9 * values[-1]:
-            values = np.full(3, values.mean())  # exactly isotropic, so that closed forms apply
-        mean[index], maps[index], spread[index] = obstacle.mean_m, vectors.T @ root, values
+            values = np.full(3, values.mean())  # exactly isotropic values select the closed forms
+        mean[index], maps[index], spread[index] = obstacle.mean_m, vectors.T @ to_unit_ball, values
         axis[index] = axes.min(), axes.max()
     return ObstacleArrays(mean, maps, spread, axis)

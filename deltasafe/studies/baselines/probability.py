@@ -1,80 +1,40 @@
-"""P(collision) with an obstacle at a Gaussian position: exact, and the bounds of the compared methods.
+"""P(collision) with an obstacle at a Gaussian position: the exact value and the bounds of the compared methods.
 
-All in the frame of ``ObstacleArrays``: the grown obstacle is the unit ball, the robot's center is w, and the noise
-has the covariance diag(spread). Decision 14: a pose in the mean shape is forbidden, whatever its probability.
+All functions use the frame of ``ObstacleArrays``: the grown obstacle is the unit ball, the robot's center is w, and
+the noise has the covariance diag(spread). Decision 14: poses inside the mean shape are forbidden in any case.
 """
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled
-from deltasafe.errors import SettingsError
-from deltasafe.geometry import as_rows
-from deltasafe.studies.baselines.obstacles import GaussianObstacle, obstacle_arrays
 
-__all__ = [
-    "JOINT_RISKS",
-    "METHODS",
-    "collision_probability",
-    "collision_probability_of_ball",
-    "joint_probability",
-    "risk",
-]
+__all__ = ["JOINT_RISKS", "METHODS", "collision_probability_of_ball", "risk"]
 
 METHODS = ("chance_constraint", "max_probability", "bounding_volume", "exact")
 """Zhu and Alonso-Mora 2019; Park, Park and Manocha 2018; Kamel 2017; and the Gaussian integral itself."""
+CHANCE_CONSTRAINT, MAX_PROBABILITY, BOUNDING_VOLUME, EXACT = range(len(METHODS))
 
 JOINT_RISKS = ("each", "boole", "noisy_or")
-"""How several obstacles share delta: delta each; delta / n each; or 1 - prod(1 - p_i) <= delta (decision 14)."""
+"""How n obstacles share delta: delta each; delta / n each; or 1 - prod(1 - p_i) <= delta (decision 14)."""
+EACH, BOOLE, NOISY_OR = range(len(JOINT_RISKS))
 
-Array = NDArray[np.float64]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(40)
-REACH = 8.5
-"""Standard deviations beyond which a normal density is not integrated."""
-
-
-def collision_probability(
-    obstacles: Sequence[GaussianObstacle],
-    points_m: Array,
-    robot_radius_m: float,
-    method: str = "exact",
-    sigma_level: float = 3.0,
-    numeric_search: bool = False,
-) -> Array:
-    """What a method takes P(collision) to be, (N, n), for a ball at points (N, 3) and each of n obstacles.
-
-    ``bounding_volume`` says 1 or 0. The bounds of ``chance_constraint`` and ``max_probability`` are at least the
-    probability that N(mean, covariance) puts the center into the obstacle grown by the ball.
-
-    Raises:
-        SettingsError: an unknown method, or a point that is not finite or farther than 1000 m from 0.
-    """
-    if method not in METHODS:
-        raise SettingsError(f"method must be one of {METHODS}, got {method!r}")
-    kind = METHODS.index(method)
-    arrays = obstacle_arrays(obstacles, robot_radius_m, sigma_level if kind == 2 else 0.0)
-    points_m = as_rows(points_m, 3, "points_m")
-    return np.asarray(_table(kind, numeric_search, arrays.mean_m, arrays.map, arrays.spread, points_m))
-
-
-def joint_probability(p: Array) -> Array:
-    """Noisy-OR over the last axis: 1 - prod(1 - p_i) (decision 14)."""
-    return np.asarray(-np.expm1(np.log1p(-np.clip(p, 0.0, 1.0 - 1e-16)).sum(axis=-1)))
+INTEGRATION_SIGMAS = 8.5
+"""The normal density is integrated within this many standard deviations."""
 
 
 @compiled
 def collision_probability_of_ball(distance, radius, sigma):  # type: ignore[no-untyped-def]
-    """P(|X| <= radius) for X ~ N(mu, sigma^2 I_3) with |mu| = distance: the non-central chi-square with 3 degrees.
+    """Compute P(|X| <= radius) for X ~ N(mu, sigma^2 I_3) with |mu| = distance: a non-central chi-square with k = 3.
 
     F(R^2 / sigma^2; 3, distance^2 / sigma^2) in closed form: with a = (R - d) / sigma and b = (R + d) / sigma it is
     Phi(a) - Phi(-b) - (sigma / d) (phi(a) - phi(b)).
     """
     a, b = (radius - distance) / sigma, (radius + distance) / sigma
     shift = distance / sigma
-    if shift < 1e-4:  # the limit of d -> 0, where the closed form divides nothing by nothing
+    if shift < 1e-4:  # the limit d -> 0, where the closed form is 0 / 0
         ratio = radius / sigma
         return math.erf(ratio / math.sqrt(2.0)) - math.sqrt(2.0 / math.pi) * ratio * math.exp(-0.5 * ratio * ratio)
     tails = 0.5 * (math.erfc(-a / math.sqrt(2.0)) - math.erfc(b / math.sqrt(2.0)))
@@ -84,29 +44,29 @@ def collision_probability_of_ball(distance, radius, sigma):  # type: ignore[no-u
 
 @compiled
 def risk(kind, numeric, w, spread):  # type: ignore[no-untyped-def]
-    """P(collision) according to a method (an index of ``METHODS``); 1 in the mean shape but for ``exact``."""
+    """Compute P(collision) by the method ``METHODS[kind]``; inside the mean shape it is 1, except for ``EXACT``."""
     squared = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-    if kind == 3:
+    if kind == EXACT:
         return _exact(w, spread)
     if squared <= 1.0:
         return 1.0
-    if kind == 0:
-        return _linearised(w, squared, spread)
-    if kind == 1:
+    if kind == CHANCE_CONSTRAINT:
+        return _linearized(w, squared, spread)
+    if kind == MAX_PROBABILITY:
         return _max_probability(numeric, w, squared, spread)
     return 0.0
 
 
 @compiled
-def _linearised(w, squared, spread):  # type: ignore[no-untyped-def]
-    """The half space through the point of the ball nearest to the mean (Zhu and Alonso-Mora 2019, eq. 11)."""
+def _linearized(w, squared, spread):  # type: ignore[no-untyped-def]
+    """Bound by the half space tangent to the ball at its point nearest to w (Zhu and Alonso-Mora 2019, eq. 11)."""
     variance = (w[0] * w[0] * spread[0] + w[1] * w[1] * spread[1] + w[2] * w[2] * spread[2]) / squared
     return 0.5 * math.erfc((math.sqrt(squared) - 1.0) / math.sqrt(2.0 * variance))
 
 
 @compiled
 def _max_probability(numeric, w, squared, spread):  # type: ignore[no-untyped-def]
-    """Volume times the largest density in the ball (Park, Park and Manocha 2018), clipped at 1."""
+    """Bound by volume times largest density in the ball (Park, Park and Manocha 2018), clipped at 1."""
     if not numeric and spread[0] == spread[2]:
         least = (math.sqrt(squared) - 1.0) ** 2 / spread[0]
     else:
@@ -118,10 +78,10 @@ def _max_probability(numeric, w, squared, spread):  # type: ignore[no-untyped-de
 
 @compiled
 def _least_mahalanobis(w, spread):  # type: ignore[no-untyped-def]
-    """min of (x - w)' diag(spread)^-1 (x - w) over the unit ball, w outside.
+    """Minimize (x - w)' diag(spread)^-1 (x - w) over the unit ball, for w outside.
 
-    x = w / (1 + lambda spread) with lambda > 0 such that |x| = 1. Newton's method on 1 / |x| - 1, concave in
-    lambda and almost a line, so that it rises to the root from the left without a step too far.
+    The minimum is at x = w / (1 + lambda spread), with lambda > 0 such that |x| = 1. Newton's method on 1 / |x| - 1
+    converges from the left without overshoot, because that function is concave and almost linear in lambda.
     """
     multiplier = 0.0
     for _ in range(50):
@@ -144,13 +104,13 @@ def _least_mahalanobis(w, spread):  # type: ignore[no-untyped-def]
 
 @compiled
 def _exact(w, spread):  # type: ignore[no-untyped-def]
-    """P(|w + noise| <= 1): in closed form for isotropic noise, else by quadrature (Gauss-Legendre and erf)."""
+    """Compute P(|w + noise| <= 1): closed form for isotropic noise, else Gauss-Legendre quadrature and erf."""
     if spread[0] == spread[2]:
         distance = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
         return collision_probability_of_ball(distance, 1.0, math.sqrt(spread[0]))
     s0, s1, s2 = math.sqrt(spread[0]), math.sqrt(spread[1]), math.sqrt(spread[2])
     total = 0.0
-    # x = sin(t) and y = cos(t) sin(u): the roots at the rim of the ball become smooth
+    # substituting x = sin(t), y = cos(t) sin(u) removes the square roots that are not smooth at the rim of the ball
     low, high = _sine_range(w[0], s0, 1.0)
     for i in range(len(_NODES)):
         t = 0.5 * (low + high + (high - low) * _NODES[i])
@@ -170,21 +130,7 @@ def _exact(w, spread):  # type: ignore[no-untyped-def]
 
 @compiled
 def _sine_range(mean, sigma, half):  # type: ignore[no-untyped-def]
-    """Angles between which half * sin(angle) is where N(mean, sigma^2) has weight; empty ranges are points."""
-    low = min(max((mean - REACH * sigma) / half, -1.0), 1.0)
-    high = min(max((mean + REACH * sigma) / half, -1.0), 1.0)
+    """Return the range of angles in which half * sin(angle) lies within ``INTEGRATION_SIGMAS`` of the mean."""
+    low = min(max((mean - INTEGRATION_SIGMAS * sigma) / half, -1.0), 1.0)
+    high = min(max((mean + INTEGRATION_SIGMAS * sigma) / half, -1.0), 1.0)
     return math.asin(low), math.asin(high)
-
-
-@compiled
-def _table(kind, numeric, mean_m, maps, spread, points_m):  # type: ignore[no-untyped-def]
-    p = np.empty((len(points_m), len(mean_m)))
-    w = np.empty(3)
-    for n in range(len(points_m)):
-        for m in range(len(mean_m)):
-            for i in range(3):
-                w[i] = 0.0
-                for j in range(3):
-                    w[i] += maps[m, i, j] * (points_m[n, j] - mean_m[m, j])
-            p[n, m] = risk(kind, numeric, w, spread[m])
-    return p

@@ -1,4 +1,4 @@
-"""Fig. 5 and Fig. 6 in the paper's form, beside the paper's own curves."""
+"""Fig. 5 and Fig. 6 in the paper's form, beside the paper's curves."""
 
 import pathlib
 from typing import Any
@@ -8,33 +8,25 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from deltasafe.reporting.panels import clean, new_figure, save
+from deltasafe.reporting.panels import new_figure, save, style_axes
+from deltasafe.studies import baselines
 from deltasafe.studies.planner.cost_comparison import SCENES, Comparison
-from deltasafe.studies.planner.methods import MAIN, contenders
+from deltasafe.studies.planner.methods import MAIN, compared_methods
 from deltasafe.studies.planner.paper_curves import paper_curves
 from deltasafe.studies.planner.scenes import PAPER_UNIT_M
 from deltasafe.studies.planner.timing import Timing
 
 __all__ = ["plot_cost", "plot_references", "plot_time"]
 
-# the paper's colors: red, black, green, blue
-COLORS = {
-    "ours": "#C8102E",
-    "chance_constraint": "#1b1f24",
-    "bounding_volume": "#2a9d4a",
-    "max_probability": "#1f5fbf",
-    "chance_constraint_each": "#8a8f98",
-    "exact": "#b07aa1",
-    "equal_margin": "#e08a1e",
-}
+COLORS = baselines.COLORS | {"chance_constraint_each": "#8a8f98", "exact": "#b07aa1", "equal_margin": "#e08a1e"}
 LEVEL = r"$\tilde d,\ 2\sigma$  [0.1 m]"
 
 
 def plot_cost(found: Comparison, destination: str | pathlib.Path) -> None:
-    """Normalized path cost over the uncertainty: a row a scene; here (both line costs), and as the paper printed it."""
+    """Plot the normalized path cost over the uncertainty, one row per scene: both line costs here, and the paper."""
     figure = new_figure(11.5, 6.6)
     axes = figure.subplots(2, 3, sharex=True, sharey="row")
-    labels = {one.name: one.label for one in contenders(found.settings)}
+    labels = {method.name: method.label for method in compared_methods(found.settings)}
     for row, scene in zip(axes, SCENES, strict=True):
         for ax, suffix in zip(row[:2], ("", "_squared"), strict=True):
             for name in MAIN:
@@ -48,16 +40,16 @@ def plot_cost(found: Comparison, destination: str | pathlib.Path) -> None:
     for ax in axes[1]:
         ax.set_xlabel(LEVEL)
     for ax in axes.flat:
-        clean(ax)
+        style_axes(ax)
         ax.set_xlim(0, found.settings.largest_level_m / PAPER_UNIT_M)
     axes[0, 0].legend(frameon=False, fontsize=8.5, loc="upper left")
     save(figure, destination)
 
 
 def plot_references(found: Comparison, destination: str | pathlib.Path) -> None:
-    """What explains the difference: rise over the cost at no uncertainty, with the references beside the methods."""
+    """Plot the rise over the cost at no uncertainty, for our method, the chance constraint and the references."""
     figure = new_figure(10.0, 4.2)
-    labels = {one.name: one.label for one in contenders(found.settings)}
+    labels = {method.name: method.label for method in compared_methods(found.settings)}
     levels = np.array(found.settings.levels_m) / PAPER_UNIT_M
     for ax, scene in zip(figure.subplots(1, 2, sharey=True), SCENES, strict=True):
         for name in ("ours", "chance_constraint", "chance_constraint_each", "exact", "equal_margin"):
@@ -68,14 +60,14 @@ def plot_references(found: Comparison, destination: str | pathlib.Path) -> None:
             ax.fill_between(levels, rise - spread, rise + spread, color=COLORS[name], alpha=0.15, lw=0)
         ax.set_title(f"{scene.capitalize()} scene", fontsize=10)
         ax.set(xlabel=LEVEL, xlim=(0, levels[-1]))
-        clean(ax)
+        style_axes(ax)
     figure.axes[0].set_ylabel("cost above that at no uncertainty [%]")
     figure.axes[0].legend(frameon=False, fontsize=8.5, loc="upper left")
     save(figure, destination)
 
 
 def plot_time(found: Timing, destination: str | pathlib.Path) -> None:
-    """Time of a search over the number of obstacles: every formula at every pose, culled, and as printed."""
+    """Plot the time of a search over the number of obstacles: without culling, with culling, and in the paper."""
     figure = new_figure(11.5, 4.4)
     plain, culled, paper = figure.subplots(1, 3, sharex=True)
     plain.sharey(culled)
@@ -101,17 +93,15 @@ def plot_time(found: Timing, destination: str | pathlib.Path) -> None:
         ax.set(xlabel="number of obstacles", yscale="log", xlim=(counts[0], counts[-1]))
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.set_xticks([counts[0], *(n for n in (20, 40, 60, 80, 100) if counts[0] < n <= counts[-1])])
-        clean(ax)
+        style_axes(ax)
     red, blue = COLORS["ours"], COLORS["max_probability"]
     many, few_samples = found.settings.n_samples, found.settings.few_samples
     handles = [
         Line2D([], [], color=red, lw=1.8, label=f"Our method, $N_x = {many}$"),
         Line2D([], [], color=red, lw=1.8, ls="--", label=f"Our method, $N_x = {few_samples}$"),
         Line2D([], [], color=red, lw=1.8, ls=":", label="Our method, continuous"),
-        Line2D([], [], color=red, lw=1.0, alpha=0.45, label="Our method, field built anew"),
-        Line2D([], [], color=COLORS["chance_constraint"], lw=1.8, label="Chance constraint"),
-        Line2D([], [], color=COLORS["bounding_volume"], lw=1.8, label="Bounding volume"),
-        Line2D([], [], color=blue, lw=1.8, label="Max. prob. approx."),
+        Line2D([], [], color=red, lw=1.0, alpha=0.45, label="Our method, building the field included"),
+        *(Line2D([], [], color=COLORS[name], lw=1.8, label=label) for name, label in baselines.LABELS.items()),
         Line2D([], [], color=blue, lw=1.8, ls="--", label="Max. prob. approx., numeric search"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=8.5)

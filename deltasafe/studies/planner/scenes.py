@@ -1,6 +1,6 @@
 """Scenes of the planner study (section V-B): three large obstacles, eight small ones, or any number of spheres.
 
-One unit of the paper's figures is a tenth of the workspace, 0.1 m.
+One unit of the paper's figures is 0.1 m, a tenth of the workspace.
 """
 
 import dataclasses
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 PAPER_UNIT_M = 0.1
 WORKSPACE_M = (0.0, 0.0, 0.0), (1.0, 1.0, 0.5)
 
-# the disc stays inside the workspace in every pose between these; its ellipse is the same after half a turn
+# the disc stays inside the workspace in every pose between these bounds; its ellipse is symmetric under half a turn
 LOWEST_POSE = (0.06, 0.06, 0.06, -math.pi / 2)
 HIGHEST_POSE = (0.94, 0.94, 0.44, math.pi / 2)
 START = (0.1, 0.1, 0.25, 0.0)
@@ -48,7 +48,7 @@ class StudyScene:
 
 
 def simple_scene() -> StudyScene:
-    """Three large obstacles."""
+    """Create the scene with three large obstacles."""
     return StudyScene(
         "simple",
         (
@@ -60,7 +60,7 @@ def simple_scene() -> StudyScene:
 
 
 def cluttered_scene() -> StudyScene:
-    """Eight small obstacles."""
+    """Create the scene with eight small obstacles."""
     return StudyScene(
         "cluttered",
         (
@@ -77,9 +77,9 @@ def cluttered_scene() -> StudyScene:
 
 
 def crowded_scene(count: int, seed: int, radius_m: float = 0.03) -> StudyScene:
-    """Spheres at random places that leave start and goal free (Fig. 6).
+    """Create spheres at random positions that leave start and goal free (Fig. 6).
 
-    Scenes of one seed are nested: the first of ``count + 1`` spheres are those of ``count``.
+    Scenes of one seed are nested: a scene of ``count + 1`` spheres starts with the spheres of ``count``.
 
     Raises:
         SettingsError: ``count`` is less than one.
@@ -98,23 +98,17 @@ def crowded_scene(count: int, seed: int, radius_m: float = 0.03) -> StudyScene:
 
 @dataclasses.dataclass(frozen=True)
 class EllipticDisc(ToolBody):
-    """R(p) of section V-B: an elliptic disc parallel to the table, and nothing above it."""
+    """R(p) of section V-B: an elliptic disc parallel to the table, without a shaft."""
 
     semi_axis_x_m: float = 0.04
     semi_axis_y_m: float = 0.02
     thickness_m: float = 0.002
-    shaft_radius_m: float = dataclasses.field(default=-math.inf, init=False)
-    shaft_length_m: float = dataclasses.field(default=0.0, init=False)
-
-    def __post_init__(self) -> None:
-        for name in ("semi_axis_x_m", "semi_axis_y_m", "thickness_m"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise SettingsError(f"{name} must be a positive length in meters, got {getattr(self, name)}")
+    shaft_length_m: float = 0.0
 
     def samples(self, margin_m: float, count: int, seed: int) -> Array:
-        """(count, 3) points drawn uniformly from the disc enlarged by a ball of radius ``margin_m``."""
+        """Draw points (count, 3) uniformly from the disc enlarged by a ball of radius ``margin_m``."""
         if not (math.isfinite(margin_m) and margin_m >= 0) or count < 1:
-            raise SettingsError(f"samples need margin_m >= 0 and count >= 1, got {margin_m}, {count}")
+            raise SettingsError(f"samples need margin_m >= 0 and count >= 1, got {margin_m} and {count}")
         rng = np.random.default_rng(seed)
         half = np.array([self.semi_axis_x_m, self.semi_axis_y_m, self.thickness_m / 2]) + margin_m
         kept: list[Array] = []

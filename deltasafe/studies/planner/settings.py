@@ -1,4 +1,4 @@
-"""Settings of the study; what both figures share is the search itself."""
+"""Settings of the planner study: of the search, of Fig. 5 and of Fig. 6."""
 
 import dataclasses
 import math
@@ -11,17 +11,18 @@ __all__ = ["ComparisonSettings", "SearchSettings", "TimingSettings"]
 
 @dataclasses.dataclass(frozen=True)
 class SearchSettings:
-    """One search of the study: the paper's RRT*, neither informed nor refined.
+    """Settings of one search: the paper's RRT*, without informed sampling and refinement.
 
     Attributes:
-        n_iterations: N_iter.
-        n_samples: N_x of our method.
-        delta: of every method that has one.
-        margin_m: gamma at the smallest speed, part of the body of every method.
-        delta_p_m: largest motion between two tested poses.
-        voxel_m: of the field; a voxel takes the upper bound of its points, on the cost of our method.
-        rotation_weight_m2: r of the line cost.
-        steering_range_m, goal_bias, near_factor: see ``grow_tree``.
+        n_iterations: number of iterations N_iter.
+        n_samples: number of samples N_x of our method.
+        delta: largest probability of collision; the bounding volume ignores it.
+        margin_m: tracking error at the smallest speed, added to the body by every method.
+        delta_p_m: largest distance between two tested poses.
+        voxel_m: edge of a voxel of the field. A voxel takes the upper bound of its points, which makes our method
+            more conservative.
+        rotation_weight_m2: rotation weight r of the line cost.
+        steering_range_m, goal_bias, near_factor: parameters of RRT*, see ``RrtStar``.
         first_seed: run k of every method uses ``first_seed`` + k.
     """
 
@@ -50,48 +51,54 @@ class SearchSettings:
 
 @dataclasses.dataclass(frozen=True)
 class ComparisonSettings(SearchSettings):
-    """Fig. 5.
+    """Settings of Fig. 5, path cost over uncertainty.
 
     Attributes:
-        n_levels: levels of uncertainty, evenly from 0 to ``largest_level_m``.
-        largest_level_m: largest d-tilde = 2 sigma; the paper's 0.5 of its units.
-        least_level_m: what a Gaussian gets at level 0, where it would have no density (the paper's 0.002 units).
-        n_runs: runs of each of the four methods, a scene and a level.
-        n_runs_beside: runs of each reference and of the squared cost.
+        n_levels: number of levels of uncertainty, evenly spaced from 0 to ``largest_level_m``.
+        largest_level_m: largest d-tilde = 2 sigma, 0.5 units of the paper.
+        least_level_m: d-tilde of a Gaussian at level 0, where it would have no density; 0.002 units of the paper.
+        n_runs: runs of each of the four methods, per scene and level.
+        n_runs_reference: runs of each reference and of each method with the squared cost, per scene and level.
     """
 
     n_levels: int = 26
     largest_level_m: float = 0.5 * PAPER_UNIT_M
     least_level_m: float = 0.002 * PAPER_UNIT_M
     n_runs: int = 100
-    n_runs_beside: int = 25
+    n_runs_reference: int = 25
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.n_levels < 2 or self.n_runs < 2 or not 2 <= self.n_runs_beside <= self.n_runs:
+        if self.n_levels < 2 or self.n_runs < 2 or not 2 <= self.n_runs_reference <= self.n_runs:
             raise SettingsError(
-                f"a comparison needs two levels and two runs, and no more runs beside than in it, "
-                f"got {self.n_levels}, {self.n_runs} and {self.n_runs_beside}"
+                f"n_levels and n_runs must be at least 2, n_runs_reference between 2 and n_runs, "
+                f"got {self.n_levels}, {self.n_runs} and {self.n_runs_reference}"
             )
         if not 0 < self.least_level_m < self.largest_level_m < math.inf:
-            raise SettingsError(f"levels need 0 < least < largest, got {self.least_level_m} and {self.largest_level_m}")
+            raise SettingsError(
+                f"levels need 0 < least_level_m < largest_level_m, got {self.least_level_m} and {self.largest_level_m}"
+            )
 
     @property
     def levels_m(self) -> tuple[float, ...]:
-        """d-tilde = 2 sigma of each level."""
+        """d-tilde = 2 sigma of each level, in meters."""
         return tuple(self.largest_level_m * n / (self.n_levels - 1) for n in range(self.n_levels))
+
+    def runs_of(self, is_main: bool) -> int:
+        """Number of runs of one of the four methods (``is_main``), or of another one."""
+        return self.n_runs if is_main else self.n_runs_reference
 
 
 @dataclasses.dataclass(frozen=True)
 class TimingSettings(SearchSettings):
-    """Fig. 6.
+    """Settings of Fig. 6, search time over the number of obstacles.
 
     Attributes:
         counts: numbers of obstacles.
-        n_runs: runs of each method and count; each in turn, so that a busy moment meets all methods.
-        level_m: d-tilde = 2 sigma.
-        radius_m: of the spheres.
-        scene_seed: places of the spheres; each count adds to the one before.
+        n_runs: runs of each method and number of obstacles.
+        level_m: uncertainty d-tilde = 2 sigma.
+        radius_m: radius of the spheres.
+        scene_seed: seed of the positions of the spheres; each scene contains the smaller ones.
         few_samples: the smaller N_x.
     """
 

@@ -1,4 +1,4 @@
-"""Fig. 6: time of a search over the number of obstacles, the field given and the field built."""
+"""Fig. 6: time of a search over the number of obstacles, without and with building the field."""
 
 import dataclasses
 import pathlib
@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from deltasafe.compute.executor import LOCAL, Executor
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError
+from deltasafe.io.arrays import read_npz
+from deltasafe.io.records import from_json
 from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.studies.baselines import GaussianCheckSettings
-from deltasafe.studies.planner.methods import constraint_of, field_of, search
+from deltasafe.studies.planner.methods import build_field, build_test, run_search
 from deltasafe.studies.planner.scenes import crowded_scene
 from deltasafe.studies.planner.settings import TimingSettings
 from deltasafe.studies.resumable_jobs import Batch, Effort, run_batches
 
-__all__ = ["TIMED", "Timing", "measure_times"]
+__all__ = ["TIMED", "Timing", "run_timing"]
 
 Array = NDArray[np.float64]
 
@@ -33,8 +35,9 @@ TIMED = (
     "bounding_volume_culled",
     "max_probability_culled",
 )
-"""Our method with the smaller N_x, with N_x, and continuous; the others with their formula asked for every obstacle
-at every pose, and with far obstacles culled. ``numeric`` searches the multiplier that has a closed form."""
+"""Our method with the smaller N_x, with N_x, and with the continuous test. The others evaluate their formula for every
+obstacle at every pose; with the suffix ``culled`` they skip far obstacles. ``numeric`` searches the multiplier
+numerically although a closed form exists."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,10 +46,10 @@ class Timing:
 
     Attributes:
         settings: of the study.
-        seconds: (counts, contenders, runs) CPU time of a search.
-        n_nodes: the same of the nodes of its tree.
-        field_s: (counts,) CPU time of the field: the grid from the spheres, and its distances.
-        effort: what it took.
+        seconds: (counts, methods, runs) CPU time of a search.
+        n_nodes: (counts, methods, runs) nodes of its tree.
+        field_s: (counts,) CPU time of building the field: the grid from the spheres, and its distances.
+        effort: time spent.
     """
 
     settings: TimingSettings
@@ -56,11 +59,11 @@ class Timing:
     effort: Effort
 
     def median_s(self, name: str) -> Array:
-        """(counts,) median over runs."""
+        """Compute the median (counts,) over runs."""
         return np.asarray(np.median(self.seconds[:, TIMED.index(name)], axis=1))
 
     def save(self, folder: str | pathlib.Path) -> None:
-        """Write all runs and what they were made with, as a whole."""
+        """Write runs.npz and study.json atomically."""
         with atomic_folder(folder) as temporary:
             np.savez_compressed(
                 temporary / "runs.npz", seconds=self.seconds, n_nodes=self.n_nodes, field_s=self.field_s
@@ -69,44 +72,43 @@ class Timing:
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "Timing":
-        """Read what ``save`` wrote.
+        """Read a folder that ``save`` wrote.
 
         Raises:
-            DataError: a file is missing, or holds something else.
+            DataError: a file is missing or has other content.
         """
         folder = pathlib.Path(folder)
-        record = read_json(folder / "study.json")
+        record, arrays = read_json(folder / "study.json"), read_npz(folder / "runs.npz")
         try:
-            settings = TimingSettings(**{**record["settings"], "counts": tuple(record["settings"]["counts"])})
+            settings = from_json(TimingSettings, record["settings"])
+            shape = (len(settings.counts), len(TIMED), settings.n_runs)
+            if arrays["seconds"].shape != shape:
+                raise ValueError(f"runs of shape {arrays['seconds'].shape}, the settings require {shape}")
             effort = Effort(record["minutes"], record["cpu_minutes"])
-            with (folder / "runs.npz").open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-                found = cls(settings, arrays["seconds"], arrays["n_nodes"], arrays["field_s"], effort)
-        except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
-            raise DataError(folder, f"holds no measured times of this version ({error})") from error
-        shape = (len(settings.counts), len(TIMED), settings.n_runs)
-        if found.seconds.shape != shape:
-            raise DataError(folder, f"holds runs of shape {found.seconds.shape}, its settings ask {shape}")
-        return found
+            return cls(settings, arrays["seconds"], arrays["n_nodes"], arrays["field_s"], effort)
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(folder, f"is not a timing of this version ({error}); run the study again") from error
 
 
-def measure_times(
+def run_timing(
     settings: TimingSettings,
     folder: str | pathlib.Path,
     workers: int = 1,
     progress: Progress = silent,
     executor: Executor = LOCAL,
 ) -> Timing:
-    """Measure, or go on measuring; a batch in ``folder`` is a number of obstacles.
+    """Run or resume the measurement; each batch in ``folder`` is one number of obstacles.
 
-    CPU time of one thread. More ``workers`` than idle cores disturb each other.
+    Times are CPU times of one thread. More ``workers`` than idle cores distort them.
     """
     jobs = [(f"spheres-{count:03d}", (settings, count)) for count in settings.counts]
-    batches, effort = run_batches(_one_count, jobs, folder, workers, progress, executor=executor)
+    batches, effort = run_batches(_time_count, jobs, folder, workers, progress, executor=executor)
     stacked = {name: np.stack([batch[name] for batch in batches]) for name in ("seconds", "n_nodes", "field_s")}
     return Timing(settings, **stacked, effort=effort)
 
 
 def _check(name: str, settings: TimingSettings) -> GaussianCheckSettings | None:
+    """Return the settings of a timed method; None is our method."""
     if name.startswith("ours"):
         return None
     method = name.removesuffix("_culled").removesuffix("_numeric")
@@ -120,15 +122,16 @@ def _check(name: str, settings: TimingSettings) -> GaussianCheckSettings | None:
     )
 
 
-def _one_count(settings: TimingSettings, count: int) -> Batch:
+def _time_count(settings: TimingSettings, count: int) -> Batch:
+    """Time all methods in turn in a scene of ``count`` spheres, so that load on the machine affects all alike."""
     shapes = crowded_scene(count, settings.scene_seed, settings.radius_m).shapes
-    field_of(shapes[:1], settings.level_m, settings)  # compiled before the clock starts
-    began_s = time.thread_time()
-    field = field_of(shapes, settings.level_m, settings)
-    field_s = time.thread_time() - began_s
+    build_field(shapes[:1], settings.level_m, settings)  # compile before the clock starts
+    started_s = time.thread_time()
+    field = build_field(shapes, settings.level_m, settings)
+    field_s = time.thread_time() - started_s
     few = dataclasses.replace(settings, n_samples=settings.few_samples)
     constraints = [
-        constraint_of(
+        build_test(
             _check(name, settings),
             shapes,
             field,
@@ -140,11 +143,11 @@ def _one_count(settings: TimingSettings, count: int) -> Batch:
     ]
     seconds, nodes = np.empty((2, len(TIMED), settings.n_runs))
     for constraint in constraints:
-        search(constraint, "root", settings, 0)
+        run_search(constraint, "root", settings, 0)  # compile before the clock starts
     for run in range(settings.n_runs):
         for index, constraint in enumerate(constraints):
-            began_s = time.thread_time()
-            tree = search(constraint, "root", settings, run)
-            seconds[index, run] = time.thread_time() - began_s
+            started_s = time.thread_time()
+            tree = run_search(constraint, "root", settings, run)
+            seconds[index, run] = time.thread_time() - started_s
             nodes[index, run] = len(tree.nodes)
     return {"seconds": seconds, "n_nodes": nodes, "field_s": np.array(field_s)}

@@ -1,4 +1,4 @@
-"""The same scene photographed again: exposure, white balance, noise of the sensor, compression."""
+"""Camera noise: another image of the same scene with new exposure, white balance, sensor noise and compression."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,20 +9,20 @@ __all__ = ["expose", "photograph_again"]
 
 
 def photograph_again(rgb: NDArray[np.uint8], settings: CameraSettings, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8: the picture as the same camera might have taken it another time, compressed and read again."""
+    """Simulate another image (H, W, 3) of the same camera, compressed and decoded again."""
     import cv2
 
-    picture = expose(rgb, settings, rng)
+    image = expose(rgb, settings, rng)
     quality = int(rng.integers(settings.jpeg_quality[0], settings.jpeg_quality[1] + 1))
-    _, stored = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    _, stored = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     return np.asarray(cv2.imdecode(stored, cv2.IMREAD_COLOR_RGB), np.uint8)
 
 
 def expose(rgb: NDArray[np.uint8], settings: CameraSettings, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8: another exposure of the picture, before compression.
+    """Simulate another exposure (H, W, 3) of an image, before compression.
 
-    Gains act on the stored values, as a camera's digital gain does; shot noise has the variance of its light
-    (Healey and Kondepudy 1994), read noise is the same everywhere.
+    Gains act on the stored values, like a camera's digital gain. The variance of shot noise is proportional to the
+    light (Healey and Kondepudy 1994); read noise is constant.
     """
     gain = 2.0 ** rng.normal(0.0, settings.exposure_stops_sd)
     balance = 1.0 + rng.normal(0.0, settings.white_balance_sd, 2)

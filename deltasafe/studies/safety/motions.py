@@ -1,8 +1,8 @@
-"""From a field or from obstacles to a trajectory, for each contender; or to the reason why there is none."""
+"""Trajectories of all methods: from a field or from obstacles to a trajectory, or to the reason for a refusal."""
 
-import dataclasses
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 from deltasafe.errors import PlanningError
 from deltasafe.geometry import Pose, PosePath, Trajectory, wrap_to_pi
@@ -12,10 +12,7 @@ from deltasafe.planning import (
     MotionSettings,
     PlanResult,
     PlanStatus,
-    ToolBody,
-    TrackingBound,
     grow_tree,
-    is_segment_safe,
     line_cost,
     refine_path,
     schedule,
@@ -50,77 +47,72 @@ _OF_STATUS = {
 
 
 class RefusalError(PlanningError):
-    """A contender declines to move; the message is one of ``OUTCOMES``."""
+    """A method refuses to move; the message is one of ``OUTCOMES``."""
 
 
-def scheduled_motion(
-    result: PlanResult, field: DistanceField, settings: MotionSettings, body: ToolBody, tracking: TrackingBound
-) -> Trajectory:
-    """Our path as fast as its clearance allows (section IV-C)."""
+def scheduled_motion(result: PlanResult, field: DistanceField, settings: MotionSettings) -> Trajectory:
+    """Time our path as fast as its clearance allows (section IV-C).
+
+    Raises:
+        RefusalError: there is no path, or it is too close to the unsafe set for the smallest speed.
+    """
+    path, body, tracking = _path(result), settings.body, settings.tracking
     try:
-        return schedule(_path(result), field, settings, body, tracking, settings.rotation_weight_m2)[0]
+        return schedule(path, field, settings, body, tracking, settings.rotation_weight_m2)[0]
     except PlanningError as error:
-        raise (
-            error if isinstance(error, RefusalError) else RefusalError("path too close for the smallest speed")
-        ) from error
+        raise RefusalError("path too close for the smallest speed") from error
 
 
-def top_speed_motion(
-    result: PlanResult, field: DistanceField, settings: MotionSettings, body: ToolBody, tracking: TrackingBound
-) -> Trajectory:
-    """The same path, its corners blended under the same test, at top speed all along."""
-    margin_m = float(tracking.error_m(settings.v_min_mps)) + CHORD_TOLERANCE_M
-    test = segment_test(field, body, margin_m, CheckSettings())
-    return schedule_at_top_speed(
-        _path(result),
-        lambda arc: all(is_segment_safe(test, a, b) for a, b in itertools.pairwise(arc)),
-        settings,
-        body,
-        settings.rotation_weight_m2,
-    )
+def top_speed_motion(result: PlanResult, field: DistanceField, settings: MotionSettings) -> Trajectory:
+    """Time the same path at top speed; its corners are blended under the same test.
+
+    Raises:
+        RefusalError: there is no path.
+    """
+    margin_m = float(settings.tracking.error_m(settings.v_min_mps)) + CHORD_TOLERANCE_M
+    return _at_top_speed(_path(result), segment_test(field, settings.body, margin_m, CheckSettings()), settings)
 
 
 def parametric_motion(
     method: str,
     obstacles: Sequence[GaussianObstacle],
     view: DistanceField,
-    start: Pose,
-    goal: Pose,
+    task: tuple[Pose, Pose],
     settings: MotionSettings,
     seed: int,
-    body: ToolBody,
-    tracking: TrackingBound,
 ) -> Trajectory:
-    """Path and trajectory of a compared method, with our search, cost and refinement.
+    """Plan and time a motion of a compared method, with our search, cost and refinement.
 
-    The robot is the ball around the disc, as these methods have it. They know no velocity schedule: the tracking error
-    at top speed is part of that ball, and the motion is at top speed all along.
+    As published, the robot is the ball around the disc. These methods have no velocity schedule: the motion is at top
+    speed, and its tracking error is added to the ball.
 
     Args:
-        method: see ``GaussianCheckSettings``; several obstacles share delta by Boole where there is a delta.
-        view: a field in which only what the camera does not see is occupied.
+        method: see ``GaussianCheckSettings``; several obstacles share delta by Boole's inequality.
+        view: field in which only the space outside the camera's view is occupied.
+        task: start and goal.
 
     Raises:
-        RefusalError: no motion.
+        RefusalError: start or goal is unsafe, or no path was found.
     """
-    margin_m = float(tracking.error_m(settings.v_max_mps)) + CHORD_TOLERANCE_M
-    checks = GaussianCheckSettings(method, settings.delta, "boole" if _has_delta(method) else "each", delta_p_m=0.002)
+    margin_m = float(settings.tracking.error_m(settings.v_max_mps)) + CHORD_TOLERANCE_M
+    joint_risk = "each" if method == "bounding_volume" else "boole"
+    checks = GaussianCheckSettings(method, settings.delta, joint_risk, delta_p_m=0.002)
     constraint = GaussianTestInView(
-        gaussian_test(obstacles, body.disc_radius_m + margin_m, checks),
-        segment_test(view, body, margin_m, CheckSettings()),
+        gaussian_test(obstacles, settings.body.disc_radius_m + margin_m, checks),
+        segment_test(view, settings.body, margin_m, CheckSettings()),
     )
-    first, last = start.as_array(), goal.as_array()
-    last[3] = first[3] + wrap_to_pi(last[3] - first[3])
-    for name, end in (("start", first), ("goal", last)):
+    start, goal = (pose.as_array() for pose in task)
+    goal[3] = start[3] + wrap_to_pi(goal[3] - start[3])
+    for name, end in (("start", start), ("goal", goal)):
         if not ask_segment(constraint, end, end):
             raise RefusalError(f"{name} unsafe")
-    lower, upper = search_bounds(view, settings, first, last[None])
+    lower, upper = search_bounds(view, settings, start, goal[None])
     cost = line_cost(settings.cost, settings.rotation_weight_m2, view.arrays.floor_z_m, settings.length_weight_m)
     tree = grow_tree(
         constraint,
         cost,
-        first,
-        last,
+        start,
+        goal,
         lower,
         upper,
         settings.n_iterations,
@@ -135,25 +127,20 @@ def parametric_motion(
     if poses is None:
         raise RefusalError("no path in the budget")
     poses = refine_path(constraint, cost, poses, lower, upper, settings.n_refinements, seed)
+    return _at_top_speed(PosePath(poses), constraint, settings)
+
+
+def _at_top_speed(path: PosePath, constraint: Any, settings: MotionSettings) -> Trajectory:
     return schedule_at_top_speed(
-        PosePath(poses),
+        path,
         lambda arc: all(ask_segment(constraint, a, b) for a, b in itertools.pairwise(arc)),
         settings,
-        body,
+        settings.body,
         settings.rotation_weight_m2,
     )
-
-
-def level_settings(settings: MotionSettings, delta: float) -> MotionSettings:
-    """The settings of a motion at another level."""
-    return dataclasses.replace(settings, delta=delta)
 
 
 def _path(result: PlanResult) -> PosePath:
     if result.status is not PlanStatus.SOLVED or result.path is None:
         raise RefusalError(_OF_STATUS[result.status])
     return result.path
-
-
-def _has_delta(method: str) -> bool:
-    return method != "bounding_volume"

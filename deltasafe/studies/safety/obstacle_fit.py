@@ -1,15 +1,15 @@
-"""What the compared methods are told of a hand: ellipsoids at Gaussian positions, fitted to the same picture.
+"""Obstacles of the compared methods: ellipsoids at Gaussian positions, fitted to the predicted p_occupied.
 
-They cannot be told more: they have no place for an arbitrary field. The rule is this.
+These methods cannot use an arbitrary field, so the hand is approximated by a fixed rule:
 
-1. The hand is where p_occupied >= 0.5. Its pixels are parted into n pieces by k-means of where they meet the table.
-2. A piece stands from the table to the height of the hand, along the camera's rays. An ellipse with the axes of its
-   covariance contains all that it covers at both heights; the upright elliptic cylinder above it is enclosed by the
-   least ellipsoid: its horizontal axes times the root of 3/2, its half height times the root of 3.
-3. Around a piece, p_occupied falls from 0.5 to 0.05 over a mean distance d (the area of that band by the length of the
-   hand's border there). As everywhere in this project (decision 21) "95 %" is set equal to 2 sigma: sigma = d / 2.
+1. The hand is the set of pixels with p_occupied >= 0.5. K-means of their positions on the table gives n pieces.
+2. A piece extends along the camera's rays from the table to the height of the hand. An ellipse with the axes of its
+   covariance contains its cross sections at both heights. The smallest ellipsoid around the upright elliptic cylinder
+   over this ellipse has its horizontal axes times sqrt(3/2) and half its height times sqrt(3).
+3. Around a piece, p_occupied falls from 0.5 to 0.05 over a mean distance d: the area of that band divided by the length
+   of the hand's border there. "95 %" equals 2 sigma (decision 21), so that sigma = d / 2.
 
-Where the picture shows less than 0.5 everywhere, there is nothing to fit, however suspicious it looks.
+If p_occupied is below 0.5 everywhere, no obstacle is fitted.
 """
 
 import math
@@ -23,11 +23,11 @@ from deltasafe.scene import Camera
 from deltasafe.studies.baselines import GaussianObstacle
 from deltasafe.studies.baselines.obstacles import isotropic_covariance
 
-__all__ = ["LEAST_SIGMA_M", "fit_obstacles"]
+__all__ = ["MIN_SIGMA_M", "fit_obstacles"]
 
 Array = NDArray[np.float64]
-LEAST_SIGMA_M = 0.001
-"""Sharper borders than this no camera has: 1.5 pixels half a meter above the table."""
+MIN_SIGMA_M = 0.001
+"""Lower limit of sigma, the resolution of the camera: 1.5 pixels, half a meter above the table."""
 
 INSIDE, BORDER = 0.5, 0.05
 STRIDE = 2
@@ -41,11 +41,11 @@ def fit_obstacles(
     n_obstacles: int,
     seed: int,
 ) -> list[GaussianObstacle]:
-    """At most ``n_obstacles`` ellipsoids for a picture (H, W) of p_occupied; none where nothing reaches 0.5.
+    """Fit at most ``n_obstacles`` ellipsoids to an image (H, W) of p_occupied.
 
     Args:
-        hand_height_m: above the table.
-        seed: of the first centers of k-means.
+        hand_height_m: height of the hand above the table.
+        seed: seed of the initial centers of k-means.
     """
     hand = p_occupied >= INSIDE
     if not hand.any():
@@ -70,13 +70,13 @@ def fit_obstacles(
 
 
 def _centers(mask: NDArray[np.bool_], stride: int) -> Array:
-    """Pixel coordinates (N, 2) as (u, v) of the middles of every ``stride``-th pixel of a mask."""
+    """Return the centers (N, 2) of every ``stride``-th pixel of a mask, as (u, v)."""
     rows, columns = np.nonzero(mask[::stride, ::stride])
     return np.column_stack([columns * stride + 0.5, rows * stride + 0.5])
 
 
 def _ellipse(points_m: Array) -> tuple[Array, Array, float]:
-    """Center, semi-axes and yaw of the ellipse with the points' (N, 2) own axes that just contains them."""
+    """Return center, semi-axes and yaw of the smallest ellipse around points (N, 2) with their principal axes."""
     middle = points_m.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov((points_m - middle).T) + 1e-8 * np.eye(2))
     farthest = float(np.sqrt((((points_m - middle) @ vectors) ** 2 / values).sum(axis=1).max()))
@@ -86,7 +86,7 @@ def _ellipse(points_m: Array) -> tuple[Array, Array, float]:
 def _sigmas(
     p_occupied: NDArray[np.float32], hand: NDArray[np.bool_], camera: Camera, table_z_m: float, centers: Array
 ) -> Array:
-    """(n,) d / 2 for each piece: area of the band around it by the length of the hand's border there."""
+    """Return sigma = d / 2 (n,) of each piece: half the area of the band around it over the length of its border."""
     import cv2
 
     inner = cv2.erode(hand.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1).astype(bool)
@@ -98,4 +98,4 @@ def _sigmas(
         for mask in (~hand & (p_occupied > BORDER), hand & ~inner)
     ]
     pixel_m = (camera.position_m[2] - table_z_m) / camera.fx
-    return np.maximum(counts[0] / np.maximum(counts[1], 1) * pixel_m / 2, LEAST_SIGMA_M)
+    return np.maximum(counts[0] / np.maximum(counts[1], 1) * pixel_m / 2, MIN_SIGMA_M)

@@ -1,4 +1,4 @@
-"""The report of the study: figures, Markdown with its pictures, failures with their films, and all trials beside it."""
+"""Report of the safety study: Markdown with figures, films of failures, and all trials beside it."""
 
 import pathlib
 
@@ -7,21 +7,21 @@ import numpy as np
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.execution.film import save_film
 from deltasafe.io.storage import atomic_folder, write_json
-from deltasafe.studies.safety.evidence import cell, failures, touched
-from deltasafe.studies.safety.report_text import safety_study_markdown
+from deltasafe.reporting.templates import render
+from deltasafe.studies.safety import tables
+from deltasafe.studies.safety.evidence import evaluate_all, failures, touched
 from deltasafe.studies.safety.runs import replay
+from deltasafe.studies.safety.settings import PARAMETRIC
 from deltasafe.studies.safety.study import SafetyStudy
 
-__all__ = ["figures_of", "write_safety_study"]
-
-PICTURES = ("rates", "clearances", "speed")
+__all__ = ["figures_of", "write_report"]
 
 
 def figures_of(study: SafetyStudy) -> dict[str, float]:
-    """The figures that a record holds, by name. Those without a contender's name are of ours.
+    """Collect the figures of a record, by name. Names without a method belong to ours.
 
-    ``delta_001`` is delta = 0.01, and so on. ``violation`` is about the field that was used, ``touch`` about the true
-    hand; ``joint`` counts motions, the others poses.
+    ``delta_001`` stands for delta = 0.01. ``violation`` refers to the field used, ``touch`` to the true hand. ``joint``
+    counts motions, the others count poses.
     """
     executed = study.executed
     seconds = 60 * study.effort.minutes
@@ -29,7 +29,7 @@ def figures_of(study: SafetyStudy) -> dict[str, float]:
     figures: dict[str, float] = {
         "executions": float(executed.sum()),
         "trials": float(len(executed)),
-        "situations": float(len(np.unique(study.trials["situation"]))),
+        "situations": float(len(np.unique(study.trials["scenario"]))),
         "scenes": float(len(np.unique(study.trials["scene"]))),
         "failures": float(len(failures(study))),
         "minutes": study.effort.minutes,
@@ -38,59 +38,80 @@ def figures_of(study: SafetyStudy) -> dict[str, float]:
         "realtime_factor_execution_one_core": study.simulated_s / execute_s if execute_s > 0 else float("nan"),
         **{f"cpu_s_per_trial_{stage}": spent / len(executed) for stage, spent in study.stage_s.items()},
     }
-    for name in study.settings.contenders:
-        for delta in study.settings.deltas_of(name):
-            level = f"delta_{round(100 * delta):03d}"
-            found, prefix = cell(study, name, delta), "" if name == "ours" else f"{name}_"
+    for found in evaluate_all(study):
+        level = f"delta_{round(100 * found.delta):03d}"
+        prefix = "" if found.method == "ours" else f"{found.method}_"
+        figures |= {
+            f"{prefix}executions_{level}": found.executed,
+            f"{prefix}refused_{level}": found.trials - found.executed,
+            f"{prefix}contacts_{level}": found.contacts,
+            f"{prefix}stopped_{level}": found.stopped,
+            f"{prefix}min_tool_mm_{level}": 1000 * found.min_tool_m,
+            f"{prefix}min_arm_mm_{level}": 1000 * found.min_arm_m,
+        }
+        for kind, rate in (("violation", found.violation), ("touch", found.touch)):
             figures |= {
-                f"{prefix}executions_{level}": found.executed,
-                f"{prefix}refused_{level}": found.trials - found.executed,
-                f"{prefix}contacts_{level}": found.contacts,
-                f"{prefix}stopped_{level}": found.stopped,
-                f"{prefix}min_tool_mm_{level}": 1000 * found.min_tool_m,
-                f"{prefix}min_arm_mm_{level}": 1000 * found.min_arm_m,
+                f"{prefix}{kind}_pose_rate_{level}": rate.pose_rate,
+                f"{prefix}{kind}_upper95_{level}": rate.pose_upper95,
+                f"{prefix}joint_{kind}_motions_{level}": rate.violated,
+                f"{prefix}joint_{kind}_upper95_{level}": rate.upper95,
+                f"{prefix}joint_{kind}_upper95_new_scene_{level}": rate.scenes_upper95,
             }
-            for kind, rate in (("violation", found.model), ("touch", found.reality)):
-                figures |= {
-                    f"{prefix}{kind}_pose_rate_{level}": rate.pose_rate,
-                    f"{prefix}{kind}_upper95_{level}": rate.pose_upper95,
-                    f"{prefix}joint_{kind}_motions_{level}": rate.violated,
-                    f"{prefix}joint_{kind}_upper95_{level}": rate.upper95,
-                    f"{prefix}joint_{kind}_upper95_new_scene_{level}": rate.scenes_upper95,
-                }
     return {name: round(float(value), 6) for name, value in figures.items() if np.isfinite(value)}
 
 
-def write_safety_study(study: SafetyStudy, folder: str | pathlib.Path, progress: Progress = silent) -> dict[str, float]:
-    """Write `report.md` with its pictures, `trials.npz`, `figures.json` and films, as a whole; returns the figures.
+def write_report(study: SafetyStudy, folder: str | pathlib.Path, progress: Progress = silent) -> dict[str, float]:
+    """Write report.md with its figures, trials.npz, figures.json and films atomically; return the figures.
 
-    The first ``n_films`` failures are executed once more for their films; without eyes nothing is filmed.
+    The first ``n_films`` failures are executed again for their films. Without a predictor nothing is filmed.
     """
     from deltasafe.studies.safety.figures import plot_clearances, plot_rates, plot_speed
 
     figures = figures_of(study)
     with atomic_folder(folder) as temporary:
         study.save(temporary)
-        for draw, name in zip((plot_rates, plot_clearances, plot_speed), PICTURES, strict=True):
+        for draw, name in ((plot_rates, "rates"), (plot_clearances, "clearances"), (plot_speed, "speed")):
             draw(study, temporary / f"{name}.png")
-        films = {}
-        inputs = study.inputs
-        if inputs.eyes is not None:
-            chosen = _to_film(study)
-            for done, trial in enumerate(chosen, start=1):
-                scene, execution = replay(study.settings, inputs.scenes, inputs.eyes, trial)
-                films[trial] = f"trial-{trial}.gif"
-                mesh = scene.true_mesh()
-                save_film(temporary / films[trial], execution, scene.camera, mesh, table_z_m=scene.table_z_m)
-                progress(done, len(chosen), f"filmed trial {trial}")
+        films = _film_failures(study, temporary, progress)
         write_json(temporary / "figures.json", figures)
-        (temporary / "report.md").write_text(safety_study_markdown(study, films), encoding="utf-8")
+        (temporary / "report.md").write_text(_markdown(study, films), encoding="utf-8")
     return figures
 
 
-def _to_film(study: SafetyStudy) -> list[int]:
-    """Failures of ours first, then contacts, in the order of their numbers."""
-    numbers, hit = failures(study), touched(study)
-    contender = study.trials["contender"]
-    ranked = sorted(map(int, numbers), key=lambda trial: (contender[trial] > 0, not hit[trial], trial))
-    return ranked[: study.settings.n_films]
+def _film_failures(study: SafetyStudy, folder: pathlib.Path, progress: Progress) -> dict[int, str]:
+    """Film failures of ours first, then contacts, in the order of their numbers; return file names by trial."""
+    inputs, films = study.inputs, dict[int, str]()
+    if inputs.predictor is None:
+        return films
+    hit, method = touched(study), study.trials["method"]
+    ranked = sorted(map(int, failures(study)), key=lambda trial: (method[trial] > 0, not hit[trial], trial))
+    chosen = ranked[: study.settings.n_films]
+    for done, trial in enumerate(chosen, start=1):
+        scene, execution = replay(study.settings, inputs.scenes, inputs.predictor, trial)
+        films[trial] = f"trial-{trial}.gif"
+        mesh = scene.true_mesh()
+        save_film(folder / films[trial], execution, scene.camera, mesh, table_z_m=scene.table_z_m)
+        progress(done, len(chosen), f"filmed trial {trial}")
+    return films
+
+
+def _markdown(study: SafetyStudy, films: dict[int, str]) -> str:
+    settings, smallest = study.settings, study.inputs.smallest_supported_delta
+    return render(
+        "deltasafe.studies.safety",
+        "report.md.j2",
+        study=study,
+        settings=settings,
+        minutes=study.effort.minutes,
+        executed=int(study.executed.sum()),
+        n_trials=len(study.executed),
+        n_scenarios=len(np.unique(study.trials["scenario"])),
+        n_scenes=len(np.unique(study.trials["scene"])),
+        smallest_delta=smallest,
+        unsupported=[f"{delta:g}" for delta in settings.deltas if smallest is None or delta < smallest],
+        parametric=[name for name in PARAMETRIC if name in settings.compared],
+        pose_spacing_m=settings.motion.v_max_mps / settings.execution.record_rate_hz,
+        failures=failures(study).tolist(),
+        films=films,
+        **{name: getattr(tables, name) for name in tables.__all__},
+    )

@@ -1,10 +1,10 @@
-"""Trials: a contender meets a situation at a level. A row of numbers each; a pure function of settings and number."""
+"""Trials: a method runs in a scenario at a delta. One table row each, a pure function of settings and number."""
 
 import dataclasses
 import functools
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,46 +13,36 @@ from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.execution.recording import Execution
 from deltasafe.execution.simulate import execute, iiwa_for
 from deltasafe.execution.verdict import judge, largest_p_occupied
-from deltasafe.geometry import Pose, Trajectory
-from deltasafe.planning import DistanceField, PlanResult, ToolBody, plan
+from deltasafe.geometry import Trajectory
+from deltasafe.planning import DistanceField, PlanResult, plan
 from deltasafe.scene import LoggedScene, OccupancyGrid, grid_from_image
 from deltasafe.studies.baselines import GaussianObstacle
 from deltasafe.studies.resumable_jobs import Batch
 from deltasafe.studies.safety.motions import (
     OUTCOMES,
     RefusalError,
-    level_settings,
     parametric_motion,
     scheduled_motion,
     top_speed_motion,
 )
 from deltasafe.studies.safety.obstacle_fit import fit_obstacles
-from deltasafe.studies.safety.scenarios import Situation, draw_situation, true_mask
-from deltasafe.studies.safety.settings import CONTENDERS, PARAMETRIC, SafetyStudySettings
+from deltasafe.studies.safety.predictors import Prediction, Predictor
+from deltasafe.studies.safety.scenarios import draw_scenario, true_mask
+from deltasafe.studies.safety.settings import METHODS, PARAMETRIC, SafetyStudySettings
 
-__all__ = [
-    "BY_SPEED",
-    "COLUMNS",
-    "SPEED_EDGES_MPS",
-    "STAGES",
-    "Eyes",
-    "FrozenEyes",
-    "SceneRef",
-    "Sight",
-    "meet",
-    "replay",
-]
+__all__ = ["BY_SPEED", "COLUMNS", "SPEED_EDGES_MPS", "STAGES", "SceneRef", "replay", "run_scenario"]
 
 SPEED_EDGES_MPS = (0.0, 0.005, 0.02, 0.05, 0.1, 0.15, np.inf)
+N_BINS = len(SPEED_EDGES_MPS) - 1
 
 COLUMNS: dict[str, type] = {
-    "situation": np.int32,
+    "scenario": np.int32,
     "scene": np.int32,
-    "contender": np.int8,
+    "method": np.int8,
     "delta": np.float64,
     "member": np.int8,
     "outcome": np.int8,
-    "missed_share": np.float64,
+    "miss_rate": np.float64,
     "duration_s": np.float64,
     "length_m": np.float64,
     "simulated_s": np.float64,
@@ -67,84 +57,34 @@ COLUMNS: dict[str, type] = {
     "max_error_m": np.float64,
     "max_excess_m": np.float64,
 }
-"""What is kept of a trial; NaN or 0 where nothing was executed.
+"""Columns of a trial and their types; NaN or 0 if no motion was executed.
 
-``member``: the single member, -1 for all. ``missed_share``: of the true hand's pixels that the picture used shows with
-p_occupied <= delta. ``poses``: recorded ones from rest at the start to rest at the goal; ``unsafe_poses`` of them have
-a point of the tool with p_occupied > delta in the field used, at ``touching_poses`` the tool touches or crosses the
-true hand. ``contacts``, ``min_tool_m`` and ``min_arm_m`` are of the whole recording, approach and retreat included.
+``method`` and ``outcome`` are indices into ``METHODS`` and ``OUTCOMES``. ``member`` is the single member, -1 for the
+ensemble. ``miss_rate`` is the fraction of the true hand's pixels with p_occupied <= delta in the image used. ``poses``
+counts recorded poses from rest at the start to rest at the goal. At ``unsafe_poses`` of them a point of the tool has
+p_occupied > delta in the field used; at ``touching_poses`` the tool touches or crosses the true hand. ``contacts``,
+``min_tool_m`` and ``min_arm_m`` cover the whole recording, approach and retreat included.
 """
 
 BY_SPEED = ("poses_by_speed", "unsafe_by_speed", "touching_by_speed", "min_tool_by_speed_m")
-"""The same by reference speed: one more axis, the bins between ``SPEED_EDGES_MPS``."""
+"""Columns by reference speed, with a second axis for the bins between ``SPEED_EDGES_MPS``."""
 
 STAGES = ("see", "plan", "execute", "judge")
-
-
-@dataclasses.dataclass(frozen=True)
-class Sight:
-    """What is seen in a picture: ``ensemble`` (H, W) and ``members`` (M, H, W), all p_occupied."""
-
-    ensemble: NDArray[np.float32]
-    members: NDArray[np.float32]
-
-
-class Eyes(Protocol):
-    """Whoever looks at pictures; a dataclass with a JSON form, since it names a batch together with the settings."""
-
-    def look(self, rgb: NDArray[np.uint8]) -> Sight:
-        """What is seen in a picture (H, W, 3) uint8."""
-        ...
-
-
-@dataclasses.dataclass(frozen=True)
-class FrozenEyes:
-    """A frozen ensemble. Its members see as they are; the ensemble's temperature is calibrated for all of them."""
-
-    folder: str
-
-    def look(self, rgb: NDArray[np.uint8]) -> Sight:
-        """The mean of the members, recalibrated, and each of them.
-
-        Raises:
-            ArtifactError: the folder holds no frozen ensemble.
-        """
-        from deltasafe.perception.calibration.temperature import apply_temperature
-
-        ensemble = _ensemble(self.folder)
-        members = ensemble.member_p_occupied(rgb)
-        pooled = apply_temperature(members.mean(axis=0), ensemble.temperature).astype(np.float32)
-        return Sight(pooled, members)
-
-
-@functools.lru_cache(1)
-def _ensemble(folder: str) -> Any:
-    import torch
-
-    from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
-
-    ensemble = load_ensemble(folder)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # side by side one each; and sums of the same order, whatever the machine
-    try:
-        _ = ensemble.backend
-    finally:
-        torch.set_num_threads(threads)
-    return ensemble
+"""Stages of a trial whose CPU time is measured; ``see`` is the prediction."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SceneRef:
-    """A scene by its folder, and what it holds by its digest."""
+    """A scene by its folder, and the digest of its content."""
 
     folder: str
     digest: str
 
 
-def meet(settings: SafetyStudySettings, scenes: Sequence[SceneRef], eyes: Eyes, situation: int) -> Batch:
-    """All trials of a situation: arrays of ``COLUMNS`` (T,), of ``BY_SPEED`` (T, bins), and ``seconds`` (T, stages)."""
-    table = _Table(settings, scenes, eyes, situation)
-    rows = [table.trial(place)[0] for place in range(len(settings.trials_of(situation)))]
+def run_scenario(settings: SafetyStudySettings, scenes: Sequence[SceneRef], predictor: Predictor, number: int) -> Batch:
+    """Run all trials of a scenario; return ``COLUMNS`` (T,), ``BY_SPEED`` (T, bins) and ``seconds`` (T, stages)."""
+    runner = _ScenarioRunner(settings, scenes, predictor, number)
+    rows = [runner.run_trial(position)[0] for position in range(len(settings.trials_of(number)))]
     batch: dict[str, NDArray[Any]] = {
         name: np.array([row[name] for row in rows], kind) for name, kind in COLUMNS.items()
     }
@@ -152,39 +92,40 @@ def meet(settings: SafetyStudySettings, scenes: Sequence[SceneRef], eyes: Eyes, 
 
 
 def replay(
-    settings: SafetyStudySettings, scenes: Sequence[SceneRef], eyes: Eyes, trial: int
+    settings: SafetyStudySettings, scenes: Sequence[SceneRef], predictor: Predictor, trial: int
 ) -> tuple[LoggedScene, Execution]:
-    """Trial number ``trial`` once more, with its recording.
+    """Run trial number ``trial`` again; return its scene and its recording.
 
     Raises:
         SettingsError: the trial ended without an execution; names its outcome.
     """
-    situation, place = settings.situation_and_place(trial)
-    table = _Table(settings, scenes, eyes, situation)
-    row, execution = table.trial(place)
+    number, position = settings.locate(trial)
+    runner = _ScenarioRunner(settings, scenes, predictor, number)
+    row, execution = runner.run_trial(position)
     if execution is None:
         raise SettingsError(f"trial {trial} was not executed: {OUTCOMES[row['outcome']]}")
-    return table.scene, execution
+    return runner.scene, execution
 
 
-class _Table:
-    """A situation laid out: what its trials share is made once, when the first of them asks for it."""
+class _ScenarioRunner:
+    """Runs the trials of one scenario. Everything that they share is computed once, on first use."""
 
-    def __init__(self, settings: SafetyStudySettings, scenes: Sequence[SceneRef], eyes: Eyes, situation: int) -> None:
-        self.settings, self.eyes = settings, eyes
-        self.scene = LoggedScene.load(scenes[situation % len(scenes)].folder)
-        self.situation: Situation = draw_situation(settings, len(scenes), self.scene, situation)
-        self.body = ToolBody()
+    def __init__(
+        self, settings: SafetyStudySettings, scenes: Sequence[SceneRef], predictor: Predictor, number: int
+    ) -> None:
+        self.settings, self.predictor = settings, predictor
+        self.scene = LoggedScene.load(scenes[number % len(scenes)].folder)
+        self.scenario = draw_scenario(settings, len(scenes), self.scene, number)
         self.seconds = dict.fromkeys(STAGES, 0.0)
-        # of this situation alone: caches of the class would keep every situation for as long as the process lives
+        # caches of this instance: caches of the class would keep every scenario as long as the process lives
         self.grid = functools.cache(self._grid)
         self.field = functools.cache(self._field)
         self.plan = functools.cache(self._plan)
 
     @functools.cached_property
-    def sight(self) -> Sight:
+    def prediction(self) -> Prediction:
         with _Clock(self.seconds, "see"):
-            return self.eyes.look(self.situation.rgb)
+            return self.predictor.predict(self.scenario.rgb)
 
     @functools.cached_property
     def hand(self) -> NDArray[np.bool_]:
@@ -192,54 +133,56 @@ class _Table:
 
     @property
     def member(self) -> int:
-        return self.situation.member % len(self.sight.members)
+        return self.scenario.member % len(self.prediction.members)
 
-    def picture(self, contender: str) -> NDArray[np.float32]:
-        """p_occupied (H, W) that a contender is given."""
-        return self.sight.members[self.member] if contender == "single_member" else self.sight.ensemble
+    @functools.cached_property
+    def view(self) -> DistanceField:
+        """Field in which only the space outside the camera's view is occupied."""
+        return DistanceField.build(self._extrude(np.zeros_like(self.prediction.ensemble)), self.settings.deltas[0])
+
+    @functools.cached_property
+    def obstacles(self) -> list[GaussianObstacle]:
+        scene, count = self.scene, self.settings.n_obstacles
+        return fit_obstacles(self.prediction.ensemble, scene.camera, scene.table_z_m, scene.hand_height_m, count, 0)
+
+    def p_occupied(self, single: bool) -> NDArray[np.float32]:
+        """Predicted p_occupied (H, W) of the single member or of the ensemble."""
+        return self.prediction.members[self.member] if single else self.prediction.ensemble
 
     def _grid(self, single: bool) -> OccupancyGrid:
-        return self._extruded(self.picture("single_member" if single else "ours"))
+        return self._extrude(self.p_occupied(single))
 
     def _field(self, single: bool, delta: float) -> DistanceField:
         return DistanceField.build(self.grid(single), delta)
 
-    @functools.cached_property
-    def view(self) -> DistanceField:
-        return DistanceField.build(self._extruded(np.zeros_like(self.sight.ensemble)), self.settings.deltas[0])
+    def _plan(self, single: bool, delta: float) -> PlanResult:
+        """Plan our path; ``ours`` and ``top_speed`` share it."""
+        assert self.scenario.task is not None
+        start, goal = self.scenario.task
+        motion = dataclasses.replace(self.settings.motion, delta=delta)
+        seed = self.scenario.plan_seed
+        return plan(start, goal, self.field(single, delta), motion, seed, motion.body, motion.tracking)
 
-    @functools.cached_property
-    def obstacles(self) -> list[GaussianObstacle]:
-        scene, settings = self.scene, self.settings
-        count = settings.n_obstacles
-        return fit_obstacles(self.sight.ensemble, scene.camera, scene.table_z_m, scene.hand_height_m, count, 0)
-
-    def _plan(self, single: bool, delta: float, start: Pose, goal: Pose) -> PlanResult:
-        """The path of our planner; the one without a schedule drives the same."""
-        motion = level_settings(self.settings.motion, delta)
-        seed = self.situation.plan_seed
-        return plan(start, goal, self.field(single, delta), motion, seed, self.body, self.settings.motion.tracking)
-
-    def trial(self, place: int) -> tuple[dict[str, Any], Execution | None]:
-        """Its row and, if it was executed, the recording."""
-        contender, delta = self.settings.trials_of(self.situation.number)[place]
-        single = contender == "single_member"
+    def run_trial(self, position: int) -> tuple[dict[str, Any], Execution | None]:
+        """Run one trial; return its row and, if it was executed, the recording."""
+        method, delta = self.settings.trials_of(self.scenario.number)[position]
+        single = method == "single_member"
         self.seconds = dict.fromkeys(STAGES, 0.0)
         row: dict[str, Any] = {name: np.nan if kind is np.float64 else 0 for name, kind in COLUMNS.items()}
         row |= {
-            "situation": self.situation.number,
-            "scene": self.situation.scene,
-            "contender": CONTENDERS.index(contender),
+            "scenario": self.scenario.number,
+            "scene": self.scenario.scene,
+            "method": METHODS.index(method),
             "delta": delta,
             "member": self.member if single else -1,
-            "missed_share": float((self.picture(contender)[self.hand] <= delta).mean()),
+            "miss_rate": float((self.p_occupied(single)[self.hand] <= delta).mean()),
         }
-        row |= {name: np.zeros(len(SPEED_EDGES_MPS) - 1, np.int32) for name in BY_SPEED[:-1]}
-        row[BY_SPEED[-1]] = np.full(len(SPEED_EDGES_MPS) - 1, np.nan)
+        row |= {name: np.zeros(N_BINS, np.int32) for name in BY_SPEED[:-1]}
+        row[BY_SPEED[-1]] = np.full(N_BINS, np.nan)
         execution = None
         try:
             with _Clock(self.seconds, "plan"):
-                trajectory = self._trajectory(contender, delta)
+                trajectory = self._trajectory(method, delta)
             with _Clock(self.seconds, "execute"):
                 execution = self._execute(trajectory)
         except RefusalError as refusal:
@@ -248,54 +191,49 @@ class _Table:
             row["outcome"] = OUTCOMES.index("the arm cannot follow")
         else:
             with _Clock(self.seconds, "judge"):
-                row |= self._judged(execution, trajectory, delta, self.grid(single))
+                row |= self._evaluate(execution, trajectory, delta, self.grid(single))
         return row | {"seconds": np.array([self.seconds[name] for name in STAGES])}, execution
 
-    def _trajectory(self, contender: str, delta: float) -> Trajectory:
-        settings = self.settings
-        if self.situation.task is None:
+    def _trajectory(self, method: str, delta: float) -> Trajectory:
+        task, seed = self.scenario.task, self.scenario.plan_seed
+        if task is None:
             raise RefusalError("no task")
-        start, goal = self.situation.task
-        motion = level_settings(settings.motion, delta)
-        if contender in PARAMETRIC:
-            seed = self.situation.plan_seed
-            return parametric_motion(
-                contender, self.obstacles, self.view, start, goal, motion, seed, self.body, settings.motion.tracking
-            )
-        single = contender == "single_member"
-        timed = top_speed_motion if contender == "top_speed" else scheduled_motion
-        result = self.plan(single, delta, start, goal)
-        return timed(result, self.field(single, delta), motion, self.body, settings.motion.tracking)
+        motion = dataclasses.replace(self.settings.motion, delta=delta)
+        if method in PARAMETRIC:
+            return parametric_motion(method, self.obstacles, self.view, task, motion, seed)
+        single = method == "single_member"
+        timed = top_speed_motion if method == "top_speed" else scheduled_motion
+        result = self.plan(single, delta)
+        return timed(result, self.field(single, delta), motion)
 
     def _execute(self, trajectory: Trajectory) -> Execution:
-        settings, scene = self.settings, self.scene
+        settings, scene, motion = self.settings, self.scene, self.settings.motion
         mesh = scene.true_mesh()
-        fastest_m = float(settings.motion.tracking.error_m(settings.motion.v_max_mps))
+        max_error_m = float(motion.tracking.error_m(motion.v_max_mps))
         return execute(
             trajectory,
             mesh,
-            self.body,
+            motion.body,
             settings.execution,
-            self.situation.arm_seed,
-            bound=settings.motion.tracking,
-            unsafe_below_m=float(self.grid(False).upper_m[2]) + fastest_m,
-            make_arm=iiwa_for(self.body, mesh, scene.table_z_m),
+            self.scenario.arm_seed,
+            bound=motion.tracking,
+            unsafe_below_m=float(self.grid(False).upper_m[2]) + max_error_m,
+            make_arm=iiwa_for(motion.body, mesh, scene.table_z_m),
         )
 
-    def _judged(
+    def _evaluate(
         self, execution: Execution, trajectory: Trajectory, delta: float, grid: OccupancyGrid
-    ) -> Mapping[str, Any]:
-        settings = self.settings
-        v_min_mps = settings.motion.v_min_mps
-        verdict = judge(execution, grid, self.body, delta, settings.motion.tracking, min_speed_mps=v_min_mps)
+    ) -> dict[str, Any]:
+        """Compute the columns of an executed motion."""
+        motion = self.settings.motion
+        verdict = judge(execution, grid, motion.body, delta, motion.tracking, min_speed_mps=motion.v_min_mps)
         judged = execution.judged
-        touching = execution.tool_to_hand_m[judged] <= 0
+        tool_m = execution.tool_to_hand_m[judged]
+        touching = tool_m <= 0
         unsafe = np.zeros(verdict.poses, np.bool_)
         if not verdict.whole_motion_delta_safe:
-            unsafe = largest_p_occupied(execution, grid, self.body)[judged] > delta
-        tool_m = execution.tool_to_hand_m[judged]
+            unsafe = largest_p_occupied(execution, grid, motion.body)[judged] > delta
         speed_bin = np.digitize(execution.reference_speed_mps[judged], SPEED_EDGES_MPS[1:-1])
-        n_bins = len(SPEED_EDGES_MPS) - 1
         steps_m = np.linalg.norm(np.diff(trajectory.poses[:, :3], axis=0), axis=1)
         return {
             "outcome": OUTCOMES.index("executed"),
@@ -312,27 +250,27 @@ class _Table:
             "min_arm_m": float(execution.arm_to_hand_m.min()),
             "max_error_m": verdict.max_error_m,
             "max_excess_m": verdict.max_excess_m,
-            "poses_by_speed": np.bincount(speed_bin, minlength=n_bins).astype(np.int32),
-            "unsafe_by_speed": np.bincount(speed_bin[unsafe], minlength=n_bins).astype(np.int32),
-            "touching_by_speed": np.bincount(speed_bin[touching], minlength=n_bins).astype(np.int32),
-            "min_tool_by_speed_m": np.array([tool_m[speed_bin == n].min(initial=np.inf) for n in range(n_bins)]),
+            "poses_by_speed": np.bincount(speed_bin, minlength=N_BINS).astype(np.int32),
+            "unsafe_by_speed": np.bincount(speed_bin[unsafe], minlength=N_BINS).astype(np.int32),
+            "touching_by_speed": np.bincount(speed_bin[touching], minlength=N_BINS).astype(np.int32),
+            "min_tool_by_speed_m": np.array([tool_m[speed_bin == n].min(initial=np.inf) for n in range(N_BINS)]),
         }
 
-    def _extruded(self, picture: NDArray[np.float32]) -> OccupancyGrid:
+    def _extrude(self, p_occupied: NDArray[np.float32]) -> OccupancyGrid:
         scene = self.scene
-        return grid_from_image(picture, scene.camera, scene.table_z_m, scene.hand_height_m, self.settings.field)
+        return grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, self.settings.field)
 
 
 class _Clock:
-    """CPU time of this thread inside a `with` block, added to a stage; a stage inside another is not counted twice."""
+    """Adds the CPU time of a `with` block to a stage, without the time of stages nested in it."""
 
     def __init__(self, seconds: dict[str, float], stage: str) -> None:
         self.seconds, self.stage = seconds, stage
 
     def __enter__(self) -> None:
-        self.began_s, self.others_s = time.thread_time(), sum(self.seconds.values())
+        self.started_s, self.others_s = time.thread_time(), sum(self.seconds.values())
 
     def __exit__(self, *error: object) -> None:
-        spent_s = time.thread_time() - self.began_s
+        spent_s = time.thread_time() - self.started_s
         inside_s = sum(self.seconds.values()) - self.others_s
         self.seconds[self.stage] += spent_s - inside_s

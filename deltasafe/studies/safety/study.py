@@ -1,4 +1,4 @@
-"""The study: situation after situation until enough motions were executed. Interrupted, it goes on where it was."""
+"""The safety study: scenarios are run until enough motions were executed; an interrupted study resumes."""
 
 import dataclasses
 import functools
@@ -13,50 +13,53 @@ from numpy.typing import NDArray
 from deltasafe.compute.executor import LOCAL, Executor
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.io.arrays import read_npz
 from deltasafe.io.records import from_json
 from deltasafe.io.storage import atomic_folder, digest_of, read_json, sha256_of_file, write_json
 from deltasafe.scene import load_scenes
 from deltasafe.studies.resumable_jobs import Batch, Effort, run_batches
 from deltasafe.studies.safety.motions import OUTCOMES
-from deltasafe.studies.safety.runs import BY_SPEED, COLUMNS, STAGES, Eyes, FrozenEyes, SceneRef, meet
-from deltasafe.studies.safety.settings import CONTENDERS, LABELS, SafetyStudySettings
+from deltasafe.studies.safety.predictors import FrozenEnsemblePredictor, Predictor
+from deltasafe.studies.safety.runs import BY_SPEED, COLUMNS, STAGES, SceneRef, run_scenario
+from deltasafe.studies.safety.settings import LABELS, METHODS, SafetyStudySettings
 
 __all__ = ["SafetyStudy", "StudyInputs", "run_study"]
 
-MOST_BARREN = 40
-"""Situations in a row without a single execution after which the study gives up."""
+MAX_SCENARIOS_WITHOUT_MOTION = 40
+"""If no motion was executed in this many scenarios, the study fails."""
 
 
 @dataclasses.dataclass(frozen=True)
 class StudyInputs:
-    """What a study looks at, and with what.
+    """Scenes and predictor of a study.
 
     Attributes:
-        scenes, names: scenes by folder and digest, and how they are called.
-        eyes: who looks; None in a study that was read again and was not made with a frozen ensemble.
-        n_members, smallest_supported_delta: of the ensemble, by its manifest and calibration; None: it supports none.
+        scenes, names: scenes by folder and digest, and their names in reports.
+        predictor: predicts p_occupied; None if a loaded study did not use a frozen ensemble.
+        n_members: number of members of the ensemble.
+        smallest_supported_delta: from the calibration of the ensemble; None if it supports no delta.
     """
 
     scenes: tuple[SceneRef, ...]
     names: tuple[str, ...]
-    eyes: Eyes | None
+    predictor: Predictor | None
     n_members: int
     smallest_supported_delta: float | None
 
     def __post_init__(self) -> None:
         if not self.scenes or len(self.scenes) != len(self.names):
             raise SettingsError(
-                f"a study needs at least one scene, each with a name; got {len(self.scenes)} and {len(self.names)}"
+                f"a study needs at least one scene and a name for each, got {len(self.scenes)} and {len(self.names)}"
             )
 
     @classmethod
     def gather(
         cls, folders: Sequence[str | pathlib.Path], ensemble: str | pathlib.Path, n_scenes: int = 0
     ) -> "StudyInputs":
-        """The first ``n_scenes`` (0: all) scenes of each folder, and a frozen ensemble.
+        """Collect the first ``n_scenes`` (0: all) scenes of each folder, and a frozen ensemble.
 
         Raises:
-            DataError: a folder holds no scene, or a defective one.
+            DataError: a folder holds no scene or a defective one.
             ArtifactError: the ensemble is incomplete or altered.
         """
         from deltasafe.perception.artifact.frozen_ensemble import verify_artifact
@@ -65,25 +68,26 @@ class StudyInputs:
         found, names = [], []
         for folder in folders:
             for scene in load_scenes(folder)[: n_scenes or None]:
-                place = scene.image_path.parent
-                files = (place / "scene.json", scene.image_path, scene.mask_path, scene.mesh_path)
-                found.append(SceneRef(str(place.resolve()), digest_of([sha256_of_file(file) for file in files])))
+                home = scene.image_path.parent
+                files = (home / "scene.json", scene.image_path, scene.mask_path, scene.mesh_path)
+                found.append(SceneRef(str(home.resolve()), digest_of([sha256_of_file(file) for file in files])))
                 names.append(scene.id if len(folders) == 1 else f"{pathlib.Path(folder).name}/{scene.id}")
         ensemble = pathlib.Path(ensemble).resolve()
         manifest = verify_artifact(ensemble)
         supported = Calibration.load(ensemble / "calibration.json").smallest_supported_delta
-        return cls(tuple(found), tuple(names), FrozenEyes(str(ensemble)), manifest["n_members"], supported)
+        return cls(tuple(found), tuple(names), FrozenEnsemblePredictor(str(ensemble)), manifest["n_members"], supported)
 
 
 @dataclasses.dataclass(frozen=True)
 class SafetyStudy:
-    """All trials.
+    """All trials of a study.
 
     Attributes:
         settings: of the study.
-        inputs: scenes and ensemble.
+        inputs: scenes and predictor.
         trials: by column, (T,) and (T, bins); see ``COLUMNS`` and ``BY_SPEED``. Trial number n is row n.
-        effort: what it took; ``stage_s`` is CPU time by stage.
+        effort: time spent.
+        stage_s: CPU time by stage.
     """
 
     settings: SafetyStudySettings
@@ -94,25 +98,26 @@ class SafetyStudy:
 
     @functools.cached_property
     def executed(self) -> NDArray[np.bool_]:
-        """(T,)"""
+        """Trials (T,) in which a motion was executed."""
         return np.asarray(self.trials["outcome"] == OUTCOMES.index("executed"))
 
-    def of(self, contender: str, delta: float) -> NDArray[np.bool_]:
-        """(T,) the trials of a contender at a level."""
-        chosen = self.trials["contender"] == CONTENDERS.index(contender)
+    def of(self, method: str, delta: float) -> NDArray[np.bool_]:
+        """Select the trials (T,) of a method at a delta."""
+        chosen = self.trials["method"] == METHODS.index(method)
         return np.asarray(chosen & (self.trials["delta"] == delta))
 
-    def label(self, contender: str) -> str:
-        """How a contender is called for people."""
-        return LABELS[contender].format(members=self.inputs.n_members)
+    def label(self, method: str) -> str:
+        """Return the name of a method in tables and legends."""
+        return LABELS[method].format(members=self.inputs.n_members)
 
     @property
     def simulated_s(self) -> float:
-        """Duration of all executions by the arm's clock."""
+        """Duration of all executions in simulated time."""
         return float(np.nansum(self.trials["simulated_s"]))
 
     def save(self, folder: str | pathlib.Path) -> None:
-        """Write `trials.npz` and `study.json`, as a whole. Equal trials give equal bytes of `trials.npz`."""
+        """Write trials.npz and study.json atomically. Equal trials give equal bytes of trials.npz."""
+        predictor = self.inputs.predictor
         with atomic_folder(folder) as temporary:
             np.savez_compressed(temporary / "trials.npz", **self.trials)  # type: ignore[arg-type]
             write_json(
@@ -121,7 +126,7 @@ class SafetyStudy:
                     "settings": self.settings,
                     "scenes": self.inputs.scenes,
                     "names": self.inputs.names,
-                    "ensemble": self.inputs.eyes.folder if isinstance(self.inputs.eyes, FrozenEyes) else None,
+                    "ensemble": predictor.folder if isinstance(predictor, FrozenEnsemblePredictor) else None,
                     "n_members": self.inputs.n_members,
                     "smallest_supported_delta": self.inputs.smallest_supported_delta,
                     "stage_s": dict(self.stage_s),
@@ -131,36 +136,29 @@ class SafetyStudy:
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "SafetyStudy":
-        """Read what ``save`` wrote.
+        """Read a folder that ``save`` wrote.
 
         Raises:
-            DataError: a file is missing, or holds something else.
+            DataError: a file is missing or has other content.
         """
         folder = pathlib.Path(folder)
-        record = read_json(folder / "study.json")
+        record, arrays = read_json(folder / "study.json"), read_npz(folder / "trials.npz")
         try:
             settings = from_json(SafetyStudySettings, record["settings"])
-            with (folder / "trials.npz").open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-                trials = {name: arrays[name] for name in (*COLUMNS, *BY_SPEED)}
-            count = len(trials["situation"])
-            if any(len(column) != count for column in trials.values()):
+            trials = {name: arrays[name] for name in (*COLUMNS, *BY_SPEED)}
+            if len({len(column) for column in trials.values()}) > 1:
                 raise ValueError("columns of different lengths")
             inputs = StudyInputs(
                 tuple(SceneRef(**scene) for scene in record["scenes"]),
                 tuple(record["names"]),
-                FrozenEyes(record["ensemble"]) if record["ensemble"] else None,
+                FrozenEnsemblePredictor(record["ensemble"]) if record["ensemble"] else None,
                 record["n_members"],
                 record["smallest_supported_delta"],
             )
-            return cls(
-                settings,
-                inputs,
-                trials,
-                Effort(record["minutes"], record["cpu_minutes"]),
-                record["stage_s"],
-            )
-        except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
-            raise DataError(folder, f"holds no safety study of this version ({error})") from error
+            effort = Effort(record["minutes"], record["cpu_minutes"])
+            return cls(settings, inputs, trials, effort, record["stage_s"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(folder, f"is not a safety study of this version ({error}); run it again") from error
 
 
 def run_study(
@@ -171,29 +169,25 @@ def run_study(
     progress: Progress = silent,
     executor: Executor = LOCAL,
 ) -> SafetyStudy:
-    """Run, or go on with, the study; a batch in ``folder`` is a situation with all its trials.
+    """Run or resume the study; each batch in ``folder`` is one scenario with all its trials.
 
-    Situations are added until ``settings.n_executions`` motions were executed. How many are added at a time follows
-    from the outcomes so far alone: the trials depend neither on interruptions nor on ``workers`` or ``executor``.
-    Scenes and ensemble are read where the executor works.
+    Scenarios are added until ``settings.n_executions`` motions were executed. The number added at a time depends only
+    on the outcomes so far, so that interruptions, ``workers`` and ``executor`` do not change the trials. The executor's
+    processes read scenes and ensemble from their folders.
 
     Raises:
-        SettingsError: nobody is there to look, or contender after contender refuses every situation.
+        SettingsError: there is no predictor, or no motion was executed in many scenarios.
     """
-    if inputs.eyes is None:
-        raise SettingsError("a study needs eyes to look with; give StudyInputs a frozen ensemble")
-    used = {
-        name: getattr(settings, name)
-        for name in (field.name for field in dataclasses.fields(settings))
-        if name not in _NOT_OF_A_TRIAL
-    }
-    each = SafetyStudySettings(**used)
+    if inputs.predictor is None:
+        raise SettingsError("a study needs a predictor; give StudyInputs a frozen ensemble")
+    default = SafetyStudySettings()
+    of_trial = dataclasses.replace(settings, n_executions=default.n_executions, n_films=default.n_films)
     batches: list[Batch] = []
     effort, executed, count = Effort(0.0, 0.0), 0, 0
     while executed < settings.n_executions:
-        count += _more(settings, executed, count)
-        jobs = [(f"situation-{number:05d}", (each, inputs.scenes, inputs.eyes, number)) for number in range(count)]
-        batches, effort = run_batches(meet, jobs, folder, workers, progress, executor=executor)
+        count += _scenarios_to_add(settings, executed, count)
+        jobs = [(f"scenario-{n:05d}", (of_trial, inputs.scenes, inputs.predictor, n)) for n in range(count)]
+        batches, effort = run_batches(run_scenario, jobs, folder, workers, progress, executor=executor)
         executed = sum(int((batch["outcome"] == OUTCOMES.index("executed")).sum()) for batch in batches)
         progress(executed, max(executed, settings.n_executions), "motions executed")
     trials = {name: np.concatenate([batch[name] for batch in batches]) for name in (*COLUMNS, *BY_SPEED)}
@@ -202,15 +196,12 @@ def run_study(
     return SafetyStudy(settings, inputs, trials, effort, stage_s)
 
 
-_NOT_OF_A_TRIAL = ("n_executions", "n_bootstrap", "n_films")
-
-
-def _more(settings: SafetyStudySettings, executed: int, situations: int) -> int:
-    """How many situations to add: at first as if few were refused, then what is missing by the rate so far."""
-    if situations == 0:
-        return max(1, math.floor(settings.n_executions / settings.trials_per_situation))
+def _scenarios_to_add(settings: SafetyStudySettings, executed: int, scenarios: int) -> int:
+    """Choose the number of scenarios to add: first as if no trial were refused, then by the rate of executions."""
+    if scenarios == 0:
+        return max(1, math.floor(settings.n_executions / settings.trials_per_scenario))
     if executed == 0:
-        if situations >= MOST_BARREN:
-            raise SettingsError(f"not one motion was executed in {situations} situations; look at their outcomes")
-        return MOST_BARREN
-    return math.ceil(1.02 * (settings.n_executions - executed) * situations / executed)
+        if scenarios >= MAX_SCENARIOS_WITHOUT_MOTION:
+            raise SettingsError(f"no motion was executed in {scenarios} scenarios; see the outcomes of their trials")
+        return MAX_SCENARIOS_WITHOUT_MOTION
+    return math.ceil(1.02 * (settings.n_executions - executed) * scenarios / executed)

@@ -1,17 +1,17 @@
-"""The bound gamma0 + gamma1 v as a tolerance bound, and what it covers elsewhere.
+"""The tracking bound gamma0 + gamma1 v as a tolerance bound, and its coverage on held-out runs.
 
-Three disjoint sets of independent runs, so that each step may be taken for what it says:
+Each step uses a separate set of independent runs:
 
-1. *Slope.* In bins of speed the 99 % quantile of the error, then least squares through these. No claim is attached.
-2. *Constant.* For that slope each run has one number, its largest excess e - gamma1 v over all samples. gamma0 is the
-   largest number of n runs. Whatever its distribution, with confidence 1 - content^n at least the share ``content``
-   of all such runs stays below (Wilks 1941: n >= 299 for 99 % at 95 %). The slope was fixed before, on other runs,
-   so the numbers are independent and the statement holds for the whole run and all speeds at once.
-3. *Coverage.* On runs that had no part in either: share of runs, and of samples, within the bound. The
-   Clopper-Pearson bound is stated for runs alone, since samples of a run depend on one another.
+1. *Slope.* The 99 % quantile of the error in bins of speed, then least squares. No statistical claim is attached.
+2. *Constant.* For this slope each run has a largest excess e - gamma1 v over its samples. gamma0 is the maximum over n
+   runs. For any distribution, with confidence 1 - content^n at least the fraction ``content`` of all such runs stays
+   below (Wilks 1941: n >= 299 for 99 % at 95 %). The slope comes from other runs, so the excesses are independent and
+   the statement holds for whole runs and all speeds.
+3. *Coverage.* The fraction of held-out runs, and of their samples, within the bound. Only runs get a Clopper-Pearson
+   bound, because samples of a run are not independent.
 
-"Such runs" are those of ``trajectories`` on arms whose friction and sensors are drawn as everywhere in this project.
-The paper's own slope may take the place of the first step: gamma0 over it is a tolerance bound as well.
+"Such runs" are ``test_motions`` on simulated arms with randomly drawn friction and sensors. The paper's slope can
+replace step 1: its gamma0 is a tolerance bound as well.
 """
 
 import dataclasses
@@ -24,22 +24,23 @@ from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.studies.intervals import upper_bound
 from deltasafe.studies.tracking.tracking_errors import PHASES_OF_SPEED, Tracks
 
-__all__ = ["SPEED_EDGES_MPS", "Coverage", "coverage_of", "fitted_bound", "gamma0_over", "slope_of"]
+__all__ = ["Coverage", "coverage_of", "fit_bound", "fit_constant", "fit_slope"]
 
 SPEED_EDGES_MPS = (0.0, 0.005, 0.02, 0.05, 0.1, 0.15, 0.2 + 1e-9)
-_FEWEST = 100
+MIN_SAMPLES = 100
+"""Samples that a bin of speed needs for a quantile."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Coverage:
-    """Of some runs, or of those of their samples that belong to a bin.
+    """Coverage of the samples in a bin.
 
     Attributes:
-        name: of the bin; `all` for all samples.
-        runs: with a sample in the bin; runs_within: those of them with all of these within the bound.
+        name: name of the bin; `all` for all samples.
+        runs, runs_within: runs with a sample in the bin, and runs whose samples in the bin are all within the bound.
         runs_lower95: one-sided 95 % lower bound of the probability that a run is within (Clopper and Pearson 1934).
-        samples, samples_within: pooled; no interval is stated for them.
-        largest_error_m, largest_excess_m: over the samples.
+        samples, samples_within: samples of all runs; they get no interval.
+        largest_error_m, largest_excess_m: maxima over the samples.
     """
 
     name: str
@@ -52,23 +53,23 @@ class Coverage:
     largest_excess_m: float
 
     @property
-    def of_runs(self) -> float:
-        """Share of the runs within."""
+    def run_fraction(self) -> float:
+        """Fraction of runs within the bound."""
         return self.runs_within / self.runs
 
     @property
-    def of_samples(self) -> float:
-        """Share of the samples within."""
+    def sample_fraction(self) -> float:
+        """Fraction of samples within the bound."""
         return self.samples_within / self.samples
 
 
-def slope_of(tracks: Tracks, quantile: float) -> float:
-    """gamma1 in s: least squares through the quantiles of the error in bins of speed; never negative."""
+def fit_slope(tracks: Tracks, quantile: float) -> float:
+    """Fit gamma1 in s by least squares to the quantiles of the error in bins of speed; never negative."""
     middles, quantiles = [], []
     edges = np.quantile(tracks.speed_mps[tracks.speed_mps > 0], np.linspace(0, 1, 13))
     for low, high in itertools.pairwise(edges):
         inside = (tracks.speed_mps >= low) & (tracks.speed_mps <= high)
-        if inside.sum() >= _FEWEST:
+        if inside.sum() >= MIN_SAMPLES:
             middles.append(tracks.speed_mps[inside].mean())
             quantiles.append(np.quantile(tracks.error_m[inside], quantile))
     if len(middles) < 2:
@@ -76,24 +77,24 @@ def slope_of(tracks: Tracks, quantile: float) -> float:
     return max(0.0, float(np.polyfit(middles, quantiles, 1)[0]))
 
 
-def gamma0_over(tracks: Tracks, gamma1_s: float) -> float:
-    """gamma0 in m: the largest excess over the slope in all runs; a Wilks bound if they are enough."""
+def fit_constant(tracks: Tracks, gamma1_s: float) -> float:
+    """Fit gamma0 in m: the largest excess over the slope, a Wilks bound if the runs are enough."""
     return max(0.0, float((tracks.error_m - gamma1_s * tracks.speed_mps).max()))
 
 
-def fitted_bound(slope_runs: Tracks, bound_runs: Tracks, quantile: float = 0.99) -> TrackingBound:
-    """The identified bound; ``bound_runs`` must be others than ``slope_runs``."""
-    gamma1_s = slope_of(slope_runs, quantile)
-    return TrackingBound(gamma0_over(bound_runs, gamma1_s), gamma1_s)
+def fit_bound(slope_runs: Tracks, bound_runs: Tracks, quantile: float = 0.99) -> TrackingBound:
+    """Identify the bound; ``bound_runs`` and ``slope_runs`` must be disjoint."""
+    gamma1_s = fit_slope(slope_runs, quantile)
+    return TrackingBound(fit_constant(bound_runs, gamma1_s), gamma1_s)
 
 
-def coverage_of(bound: TrackingBound, tracks: Tracks, least_speed_mps: float = 0.0) -> tuple[Coverage, ...]:
-    """All samples first, then by speed, by phase, and by the last deceleration (braking and just after it).
+def coverage_of(bound: TrackingBound, tracks: Tracks, min_speed_mps: float = 0.0) -> tuple[Coverage, ...]:
+    """Compute the coverage of all samples, then by speed, phase, and deceleration (braking and just after it).
 
     Args:
-        least_speed_mps: the bound is read at no less (the paper's line is 0 at rest).
+        min_speed_mps: lower limit of the speed at which the bound is evaluated (the paper's line is 0 at rest).
     """
-    excess = tracks.error_m - bound.error_m(np.maximum(tracks.speed_mps, least_speed_mps))
+    excess = tracks.error_m - bound.error_m(np.maximum(tracks.speed_mps, min_speed_mps))
     bins = {"all": np.ones(len(excess), dtype=np.bool_)}
     for low, high in itertools.pairwise(SPEED_EDGES_MPS):
         bins[f"speed {low:g} to {high:.3g} m/s"] = (tracks.speed_mps >= low) & (tracks.speed_mps < high)

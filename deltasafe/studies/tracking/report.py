@@ -1,19 +1,19 @@
-"""The study as a folder that people read: report, picture, figures."""
+"""Report of the tracking study: Markdown with its figure."""
 
 import pathlib
+from collections.abc import Iterable
 
 from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.planning.tracking_bound import TrackingBound
-from deltasafe.reporting.markdown import table
+from deltasafe.reporting.templates import render
 from deltasafe.studies.tracking.bound import Coverage, coverage_of
-from deltasafe.studies.tracking.study import TrackingStudy
+from deltasafe.studies.tracking.study import PAPER_MIN_SPEED_MPS, TrackingStudy
 
-__all__ = ["write_tracking_report"]
+__all__ = ["write_report"]
 
 
-def write_tracking_report(study: TrackingStudy, folder: str | pathlib.Path) -> dict[str, float]:
-    """Write `report.md`, `tracking.png` and `figures.json` as a whole; returns the figures."""
-
+def write_report(study: TrackingStudy, folder: str | pathlib.Path) -> dict[str, float]:
+    """Write report.md, tracking.png and figures.json atomically; return the figures."""
     from deltasafe.studies.tracking.figures import plot_tracking
 
     figures = study.figures()
@@ -25,49 +25,31 @@ def write_tracking_report(study: TrackingStudy, folder: str | pathlib.Path) -> d
 
 
 def _markdown(study: TrackingStudy) -> str:
-    settings, bound, lifted = study.settings, study.bound, study.lifted_paper_line
-    whole = study.coverage()[0]
-    confidence = 1 - settings.content**settings.n_bound_runs
-    paper = TrackingBound()
-    return f"""# The tracking bound
-
-Identified: **gamma(v) = {1e3 * bound.gamma0_m:.3f} mm + {bound.gamma1_s:.5f} s v**. With a confidence of
-{confidence:.1%} at least {settings.content:.0%} of all such runs keep to it throughout: the largest excess of
-{settings.n_bound_runs} runs, over a slope that {settings.n_slope_runs} other runs gave (Wilks; asked for are
-{settings.confidence:.0%}, {settings.least_bound_runs} runs). With the paper's slope, {paper.gamma1_s:g} s, the constant
-that does the same is {1e3 * lifted.gamma0_m:.3f} mm.
-
-On {whole.runs} other runs: {whole.runs_within} wholly within, {whole.of_runs:.2%}, lower 95 % bound
-{whole.runs_lower95:.2%} (Clopper and Pearson); {whole.of_samples:.3%} of their samples.
-
-![error over speed](tracking.png)
-
-## The identified bound on held-out runs
-
-{_table(study.coverage())}
-
-## The paper's slope with its constant
-
-{_table(coverage_of(lifted, study.held_out))}
-
-## The paper's line, read at no less than 0.01 m/s
-
-{_table(coverage_of(paper, study.held_out, least_speed_mps=0.01))}
-
-A run counts in a bin if one of its samples lies there, and as within if all of these are. Samples of a run depend on
-one another: no interval is stated for them. Speed is that of the tool's center; the error is e_pos + rho_max
-e_rotation. The arm is a simulated one, whose friction and sensors are drawn for each run.
-"""
+    settings, identified = study.settings, study.coverage()
+    return render(
+        "deltasafe.studies.tracking",
+        "report.md.j2",
+        settings=settings,
+        bound=study.bound,
+        confidence=1 - settings.content**settings.n_bound_runs,
+        paper_slope_bound=study.paper_slope_bound,
+        paper_min_speed_mps=PAPER_MIN_SPEED_MPS,
+        whole=identified[0],
+        identified=identified,
+        paper_slope=coverage_of(study.paper_slope_bound, study.held_out),
+        paper_line=coverage_of(TrackingBound(), study.held_out, PAPER_MIN_SPEED_MPS),
+        coverage_table=_coverage_table,
+    )
 
 
-def _table(coverage: tuple[Coverage, ...]) -> str:
-    head = "", "runs", "within", "lower 95 %", "samples", "within", "largest error", "largest excess"
+def _coverage_table(coverage: Iterable[Coverage]) -> tuple[list[str], list[list[str]]]:
+    head = ["", "runs", "within", "lower 95 %", "samples", "within", "largest error", "largest excess"]
     rows = [
         [
-            *(one.name, f"{one.runs}", f"{one.of_runs:.2%}", f"{one.runs_lower95:.2%}"),
-            *(f"{one.samples}", f"{one.of_samples:.3%}"),
+            *(one.name, f"{one.runs}", f"{one.run_fraction:.2%}", f"{one.runs_lower95:.2%}"),
+            *(f"{one.samples}", f"{one.sample_fraction:.3%}"),
             *(f"{1e3 * one.largest_error_m:.3f} mm", f"{1e3 * one.largest_excess_m:+.3f} mm"),
         ]
         for one in coverage
     ]
-    return table(head, rows)
+    return head, rows

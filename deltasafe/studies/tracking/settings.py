@@ -1,29 +1,33 @@
-"""Settings of the identification of the tracking bound."""
+"""Settings of the tracking study, which identifies the tracking bound."""
 
 import dataclasses
 import math
 
 from deltasafe.errors import SettingsError
+from deltasafe.planning.body import ToolBody
 
 __all__ = ["TrackingStudySettings"]
 
 
 @dataclasses.dataclass(frozen=True)
 class TrackingStudySettings:
-    """How many motions of what kind, and what the bound shall promise.
+    """Number and kind of test motions, and the confidence of the bound.
 
     Attributes:
-        n_slope_runs: runs that choose the slope, and nothing else.
-        n_bound_runs: other runs, whose largest excess is the bound's constant.
-        n_held_out_runs: other runs again, on which the bound is tested.
-        runs_per_batch: motions done, and stored, at once.
-        first_seed: run k of all, in this order, has the seed ``first_seed`` + k: motion, friction and sensors.
-        content, confidence: with this confidence at least this share of all such runs lies within the bound.
-        v_min_mps, v_max_mps: range of speeds, drawn evenly.
-        accelerations_mps2: of speeding up and of braking, drawn one by one; the largest is the schedule's.
+        n_slope_runs: runs that determine the slope, and nothing else.
+        n_bound_runs: other runs, whose largest excess is the constant of the bound.
+        n_held_out_runs: further runs, on which the bound is tested.
+        runs_per_batch: number of runs that are computed and stored together.
+        first_seed: run k, in this order, has the seed ``first_seed`` + k for motion, friction and sensors.
+        content: fraction of all such runs that lies within the bound.
+        confidence: confidence that it does.
+        v_min_mps, v_max_mps: range of the top speeds, which are drawn uniformly.
+        accelerations_mps2: accelerations of speeding up and of braking, drawn independently; the largest is that of the
+            velocity schedule.
         yaw_rate_radps: largest turn rate.
-        lower_m, upper_m: box of the tool's positions.
-        record_rate_hz: of the errors.
+        lower_m, upper_m: corners of the box of the tool's positions.
+        record_rate_hz: rate at which errors are recorded.
+        body: the space that the tool occupies.
     """
 
     n_slope_runs: int = 200
@@ -40,6 +44,7 @@ class TrackingStudySettings:
     lower_m: tuple[float, float, float] = (-0.17, -0.12, 0.02)
     upper_m: tuple[float, float, float] = (0.17, 0.12, 0.2)
     record_rate_hz: float = 200.0
+    body: ToolBody = dataclasses.field(default_factory=ToolBody)
 
     def __post_init__(self) -> None:
         for name in ("n_slope_runs", "n_bound_runs", "n_held_out_runs", "runs_per_batch"):
@@ -48,30 +53,30 @@ class TrackingStudySettings:
         for name in ("content", "confidence"):
             if not 0 < getattr(self, name) < 1:
                 raise SettingsError(f"{name} must lie in (0, 1), got {getattr(self, name)}")
-        least = self.least_bound_runs
+        least = self.min_bound_runs
         if self.n_bound_runs < least:
             raise SettingsError(
                 f"n_bound_runs must be at least {least} for {self.content:.0%} at {self.confidence:.0%} confidence, "
                 f"got {self.n_bound_runs}"
             )
         if not 0 < self.v_min_mps <= self.v_max_mps < math.inf:
-            raise SettingsError(f"speeds need 0 < v_min <= v_max, got {self.v_min_mps} and {self.v_max_mps}")
+            raise SettingsError(f"speeds need 0 < v_min_mps <= v_max_mps, got {self.v_min_mps} and {self.v_max_mps}")
         for name in ("accelerations_mps2", "yaw_rate_radps", "record_rate_hz"):
             values = getattr(self, name)
             values = values if isinstance(values, tuple) else (values,)
             if not values or not all(math.isfinite(value) and value > 0 for value in values):
                 raise SettingsError(f"{name} must be positive, got {getattr(self, name)}")
         if len(self.lower_m) != 3 or len(self.upper_m) != 3:
-            raise SettingsError("lower_m and upper_m must be points of three coordinates")
+            raise SettingsError("lower_m and upper_m must have three coordinates")
         if not all(low < high for low, high in zip(self.lower_m, self.upper_m, strict=True)):
             raise SettingsError(f"lower_m must lie below upper_m, got {self.lower_m} and {self.upper_m}")
 
     @property
-    def least_bound_runs(self) -> int:
+    def min_bound_runs(self) -> int:
         """Smallest n with 1 - content^n >= confidence (Wilks 1941): 299 for 99 % at 95 %."""
         return math.ceil(math.log(1 - self.confidence) / math.log(self.content) - 1e-12)
 
     @property
     def n_runs(self) -> int:
-        """All runs."""
+        """Number of all runs."""
         return self.n_slope_runs + self.n_bound_runs + self.n_held_out_runs

@@ -1,7 +1,7 @@
-"""Test motions: lines, arcs, turns on the spot and lines with turns, at piecewise constant acceleration.
+"""Test motions: lines, arcs, rotations in place and lines with rotation, at piecewise constant acceleration.
 
-Acceleration jumps as it does in a velocity schedule, to the same values and back, and half of the motions slow
-down on their way to go on slowly, as a schedule does near a hand.
+The acceleration jumps between the same values as in a velocity schedule. Half of the motions slow down halfway and
+continue slowly, as a schedule does near a hand.
 """
 
 import dataclasses
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import PlanningError
 from deltasafe.geometry import Trajectory
-from deltasafe.planning.body import ToolBody
 from deltasafe.studies.tracking.settings import TrackingStudySettings
 
 __all__ = ["KINDS", "TestMotion", "draw_motion"]
@@ -22,7 +21,7 @@ Array = NDArray[np.float64]
 KINDS = ("line", "arc", "turn", "line and turn")
 _PERIOD_S = 1e-3
 _ATTEMPTS = 5000
-_TILT_OF_ARC = 0.5  # tangent of its plane's angle with the table
+_MAX_TILT = 0.5  # tangent of the largest angle between the plane of an arc and the table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,11 +31,11 @@ class TestMotion:
     Attributes:
         trajectory: at 1 kHz.
         kind: index into ``KINDS``.
-        speed_mps: of the tool's center in its fastest part; 0 for a turn on the spot.
-        braking_mps2: deceleration to rest.
+        speed_mps: largest speed of the tool's center; 0 for a rotation in place.
+        braking_mps2: last deceleration, to rest.
     """
 
-    __test__ = False
+    __test__ = False  # pytest must not collect this class
 
     trajectory: Trajectory
     kind: int
@@ -45,7 +44,7 @@ class TestMotion:
 
 
 def draw_motion(settings: TrackingStudySettings, rng: np.random.Generator) -> TestMotion:
-    """A motion inside the box; speed, accelerations, direction, place and yaw are drawn, the kinds equally often.
+    """Draw a motion inside the box: kind, speed, accelerations, direction, position and yaw.
 
     Raises:
         PlanningError: the box is too small for a motion of such speeds.
@@ -53,11 +52,11 @@ def draw_motion(settings: TrackingStudySettings, rng: np.random.Generator) -> Te
     kind, speed = int(rng.integers(len(KINDS))), float(rng.uniform(settings.v_min_mps, settings.v_max_mps))
     shape, turns = _arc if KINDS[kind] == "arc" else _line, "turn" in KINDS[kind]
     speed = 0.0 if KINDS[kind] == "turn" else speed
-    # accelerations are those of the tool's fastest point, as in a schedule
-    fastest = speed + (ToolBody().rho_max_m * settings.yaw_rate_radps if turns else 0.0)
+    # the accelerations are those of the tool's fastest point, as in a schedule
+    fastest = speed + (settings.body.rho_max_m * settings.yaw_rate_radps if turns else 0.0)
     for _ in range(_ATTEMPTS):
         times_s, levels, braking = _draw_speeds(settings, rng, fastest)
-        duration_s = float(np.trapezoid(levels, times_s))  # of the same way at top speed
+        duration_s = float(np.trapezoid(levels, times_s))  # of the same path at top speed
         drawn = shape(settings, rng, speed * duration_s, speed)
         yaw, swing = rng.uniform(-math.pi / 2, math.pi / 2), 0.0
         if turns:
@@ -65,9 +64,9 @@ def draw_motion(settings: TrackingStudySettings, rng: np.random.Generator) -> Te
         if drawn is None or abs(yaw + swing) > math.pi / 2:
             continue
         curve, tangent = drawn
-        time_s, shares, rates = _sampled(times_s, levels)
-        poses = np.column_stack([curve(shares), yaw + swing * shares])
-        velocities = np.column_stack([tangent(shares), np.full(len(shares), swing)]) * rates[:, None]
+        time_s, fractions, rates = _sampled(times_s, levels)
+        poses = np.column_stack([curve(fractions), yaw + swing * fractions])
+        velocities = np.column_stack([tangent(fractions), np.full(len(fractions), swing)]) * rates[:, None]
         return TestMotion(Trajectory(time_s, poses, velocities), kind, speed, braking)
     raise PlanningError(f"no motion of {speed:.3f} m/s fits between {settings.lower_m} and {settings.upper_m}")
 
@@ -75,51 +74,52 @@ def draw_motion(settings: TrackingStudySettings, rng: np.random.Generator) -> Te
 def _draw_speeds(
     settings: TrackingStudySettings, rng: np.random.Generator, speed_mps: float
 ) -> tuple[Array, Array, float]:
-    """Times and heights (as shares of the top speed) of the corners of the speed, and the last deceleration."""
+    """Draw the corners of the speed profile: times, fractions of the top speed; and the last deceleration."""
     up, down, last = rng.choice(settings.accelerations_mps2, size=3)
     slow = rng.uniform(0.1, 0.6) if rng.random() < 0.5 else 1.0
-    lasting_s, levels = [speed_mps / up, rng.uniform(0.1, 0.5)], [0.0, 1.0, 1.0]
+    durations_s, levels = [speed_mps / up, rng.uniform(0.1, 0.5)], [0.0, 1.0, 1.0]
     if slow < 1:
-        lasting_s += [(1 - slow) * speed_mps / down, rng.uniform(0.2, 0.5)]
+        durations_s += [(1 - slow) * speed_mps / down, rng.uniform(0.2, 0.5)]
         levels += [slow, slow]
-    lasting_s.append(slow * speed_mps / last)
-    return np.concatenate([[0.0], np.cumsum(lasting_s)]), np.array([*levels, 0.0]), float(last)
+    durations_s.append(slow * speed_mps / last)
+    return np.concatenate([[0.0], np.cumsum(durations_s)]), np.array([*levels, 0.0]), float(last)
 
 
 def _sampled(times_s: Array, levels: Array) -> tuple[Array, Array, Array]:
-    """At the controller's rate: time, share of the way, and its rate; at rest at the end."""
+    """Sample at the controller's rate: time, fraction of the path, and its derivative; at rest at the end."""
     time_s = np.arange(math.floor(times_s[-1] / _PERIOD_S) + 2) * _PERIOD_S
     level = np.interp(time_s, times_s, levels)
-    ways = np.concatenate([[0.0], np.cumsum(np.diff(times_s) * (levels[1:] + levels[:-1]) / 2)])
+    lengths = np.concatenate([[0.0], np.cumsum(np.diff(times_s) * (levels[1:] + levels[:-1]) / 2)])
     piece = np.clip(np.searchsorted(times_s, time_s, side="right") - 1, 0, len(times_s) - 2)
-    way = ways[piece] + (np.minimum(time_s, times_s[-1]) - times_s[piece]) * (levels[piece] + level) / 2
-    return time_s, way / ways[-1], level / ways[-1]
+    length = lengths[piece] + (np.minimum(time_s, times_s[-1]) - times_s[piece]) * (levels[piece] + level) / 2
+    return time_s, length / lengths[-1], level / lengths[-1]
 
 
 def _line(settings: TrackingStudySettings, rng: np.random.Generator, length_m: float, speed_mps: float):  # type: ignore[no-untyped-def]
+    """Draw a line; return position and tangent as functions of the fraction, or None if it leaves the box."""
     direction = rng.standard_normal(3)
     direction *= length_m / np.linalg.norm(direction)
     start = rng.uniform(settings.lower_m, settings.upper_m)
     if not _inside(settings, (start + direction)[None]):
         return None
-    return (lambda share: start + share[:, None] * direction), (lambda share: np.tile(direction, (len(share), 1)))
+    return (lambda s: start + s[:, None] * direction), (lambda s: np.tile(direction, (len(s), 1)))
 
 
 def _arc(settings: TrackingStudySettings, rng: np.random.Generator, length_m: float, speed_mps: float):  # type: ignore[no-untyped-def]
-    """Of a circle as wide as the largest acceleration asks for, in a plane that leans a little."""
+    """Draw an arc in a slightly tilted plane, with a radius that the largest acceleration allows; see ``_line``."""
     radius = speed_mps**2 / max(settings.accelerations_mps2) + rng.uniform(0.02, 0.08)
-    lean, first = rng.uniform(-_TILT_OF_ARC, _TILT_OF_ARC), rng.uniform(0, 2 * math.pi)
+    lean, first = rng.uniform(-_MAX_TILT, _MAX_TILT), rng.uniform(0, 2 * math.pi)
     sweep = rng.choice([-1.0, 1.0]) * length_m / radius
     flat, up = np.array([math.cos(first), math.sin(first), 0.0]), np.array([-math.sin(first), math.cos(first), lean])
     up /= np.linalg.norm(up)
     center = rng.uniform(settings.lower_m, settings.upper_m)
 
-    def curve(share: Array) -> Array:
-        angle = sweep * share[:, None]
+    def curve(fraction: Array) -> Array:
+        angle = sweep * fraction[:, None]
         return np.asarray(center + radius * (np.cos(angle) * flat + np.sin(angle) * up))
 
-    def tangent(share: Array) -> Array:
-        angle = sweep * share[:, None]
+    def tangent(fraction: Array) -> Array:
+        angle = sweep * fraction[:, None]
         return np.asarray(radius * sweep * (np.cos(angle) * up - np.sin(angle) * flat))
 
     return (curve, tangent) if _inside(settings, curve(np.linspace(0, 1, 50))) else None

@@ -1,4 +1,4 @@
-"""The study as assets, and its figures among those of others."""
+"""The safety study as an asset, and merging its figures into a record."""
 
 import argparse
 import dataclasses
@@ -21,8 +21,8 @@ from pipelines.storage.io_manager import FolderPointers
 
 
 @pytest.mark.parametrize("given", ["", "elsewhere"])
-def test_the_ensemble_is_the_one_in_use_unless_another_is_given(tmp_path, monkeypatch, given):
-    asked = []
+def test_the_ensemble_in_use_is_the_default(tmp_path, monkeypatch, given):
+    requested = []
 
     class Found:
         executed = np.array([True, False])
@@ -33,7 +33,7 @@ def test_the_ensemble_is_the_one_in_use_unless_another_is_given(tmp_path, monkey
 
     def gather(folders, ensemble, n_scenes):
         assert len(folders) == 1
-        asked.append(str(ensemble))
+        requested.append(str(ensemble))
         return "inputs"
 
     monkeypatch.setattr(deltasafe.studies.safety, "StudyInputs", types.SimpleNamespace(gather=gather))
@@ -44,7 +44,7 @@ def test_the_ensemble_is_the_one_in_use_unless_another_is_given(tmp_path, monkey
     registry = types.SimpleNamespace(champion=lambda: in_use)
     made = materialized(tmp_path, registry, given)
     assert made.success
-    assert asked == [given or str(in_use)]
+    assert requested == [given or str(in_use)]
 
 
 def materialized(root, registry, ensemble):
@@ -61,7 +61,7 @@ def materialized(root, registry, ensemble):
         )
 
 
-def test_without_any_ensemble_the_remedy_is_named(tmp_path):
+def test_a_missing_ensemble_is_reported_with_a_remedy(tmp_path):
     made = materialized(tmp_path, types.SimpleNamespace(champion=lambda: None), "")
     assert not made.success
     (failed,) = made.get_step_failure_events()
@@ -76,7 +76,7 @@ class Options:
     gamma: tuple[float, float] | None = None
 
 
-def test_figures_are_merged_and_those_of_others_stay(tmp_path, monkeypatch):
+def test_recording_keeps_the_figures_of_other_commands(tmp_path, monkeypatch):
     monkeypatch.delenv(VARIABLE, raising=False)
     folder = tmp_path / "report"
     folder.mkdir()

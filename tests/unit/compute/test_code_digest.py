@@ -9,8 +9,8 @@ import deltasafe
 from deltasafe.compute import code_digest
 from deltasafe.compute.code_digest import digest_of_code, digest_of_importers, digest_of_package, modules_behind
 from deltasafe.planning import plan_motion
-from deltasafe.studies.planner.cost_comparison import compare
-from deltasafe.studies.safety.runs import meet
+from deltasafe.studies.planner.cost_comparison import run_comparison
+from deltasafe.studies.safety.runs import run_scenario
 from deltasafe.studies.tracking.tracking_errors import record_runs
 
 
@@ -43,17 +43,17 @@ def test_editing_a_module_outside_the_closure_keeps_the_key(sources, module):
 
 def test_imports_inside_functions_count():
     """The runs of the safety study import the simulator only where it is needed."""
-    assert "deltasafe.execution.iiwa" in modules_behind(meet)
+    assert "deltasafe.execution.iiwa" in modules_behind(run_scenario)
 
 
 @pytest.mark.parametrize(
     ("work", "module"),
     [
-        (meet, "perception.settings"),
-        (meet, "perception.inference.backends"),
-        (meet, "execution.monitor"),
+        (run_scenario, "perception.settings"),
+        (run_scenario, "perception.inference.backends"),
+        (run_scenario, "execution.monitor"),
         (record_runs, "execution.monitor"),
-        (compare, "studies.baselines.segment_tests"),
+        (run_comparison, "studies.baselines.segment_tests"),
     ],
 )
 def test_studies_depend_on_modules_that_hand_kept_lists_had_missed(work, module):

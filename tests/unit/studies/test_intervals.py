@@ -1,4 +1,4 @@
-"""Intervals: closed forms, coverage by simulation, and order."""
+"""Confidence intervals: closed forms, coverage by simulation, and order."""
 
 import math
 
@@ -9,24 +9,24 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from deltasafe.errors import SettingsError
-from deltasafe.studies.safety import clopper_pearson, mean_share_upper, scene_bootstrap, upper_bound
+from deltasafe.studies.intervals import clopper_pearson, mean_upper_bound, upper_bound
 
 
 @pytest.mark.parametrize("n", [1, 30, 299, 400])
-def test_without_violations_the_bounds_have_a_closed_form(n):
+def test_bounds_without_violations_have_a_closed_form(n):
     assert upper_bound(0, n) == pytest.approx(1 - 0.05 ** (1 / n), rel=1e-12)
     low, high = clopper_pearson(0, n)
     assert low == 0
     assert high == pytest.approx(1 - 0.025 ** (1 / n), rel=1e-12)
-    assert mean_share_upper(np.zeros(n)) == pytest.approx(upper_bound(0, n), rel=1e-6)
+    assert mean_upper_bound(np.zeros(n)) == pytest.approx(upper_bound(0, n), rel=1e-6)
 
 
-def test_299_clean_motions_are_what_one_percent_needs():
+def test_one_percent_requires_299_motions_without_violation():
     assert upper_bound(0, 299) < 0.01 < upper_bound(0, 298)
 
 
 @given(st.integers(1, 400), st.data())
-def test_the_ends_are_where_the_binomial_tails_have_their_level(n, data):
+def test_interval_ends_have_the_binomial_tail_probabilities(n, data):
     count = data.draw(st.integers(0, n))
     low, high = clopper_pearson(count, n)
     assert 0 <= low <= count / n <= high <= 1
@@ -39,23 +39,23 @@ def test_the_ends_are_where_the_binomial_tails_have_their_level(n, data):
 
 
 @given(st.integers(1, 300), st.data())
-def test_shares_that_are_0_or_1_get_no_less_than_the_exact_bound(n, data):
+def test_bound_of_a_mean_is_at_least_the_exact_binomial_bound(n, data):
     count = data.draw(st.integers(0, n))
-    bound = mean_share_upper(np.arange(n) < count)
+    bound = mean_upper_bound(np.arange(n) < count)
     assert bound >= upper_bound(count, n) - 1e-9
     assert bound <= 1
 
 
-def test_the_bound_of_a_mean_share_covers_it():
+def test_bound_of_a_mean_covers_it():
     rng = np.random.default_rng(0)
     truth, covered = 0.02, 0
     for _ in range(300):
         violates = rng.random(200) < 0.1
-        shares = np.where(violates, rng.beta(1, 4, 200), 0.0)  # mean 0.1 * 0.2
-        covered += mean_share_upper(shares) >= truth
+        values = np.where(violates, rng.beta(1, 4, 200), 0.0)  # mean 0.1 * 0.2
+        covered += mean_upper_bound(values) >= truth
     assert covered >= 0.95 * 300 - 3 * math.sqrt(300 * 0.05 * 0.95)
-    # and it is worth having: nearer than the share of motions that violate at all
-    assert mean_share_upper(shares) < upper_bound(int((shares > 0).sum()), 200)
+    # and it is tighter than the bound of the fraction of motions with any violation
+    assert mean_upper_bound(values) < upper_bound(int((values > 0).sum()), 200)
 
 
 def test_clopper_pearson_covers_at_its_level():
@@ -64,27 +64,14 @@ def test_clopper_pearson_covers_at_its_level():
     assert inside / 2000 >= 0.95
 
 
-def test_whole_scenes_are_drawn():
-    scene = np.repeat(np.arange(10), 20)
-    alike = np.repeat(np.arange(10) == 0, 20).astype(float)  # one scene is bad in all its motions
-    mixed = np.tile(np.arange(20) < 2, 10).astype(float)  # the same rate, spread evenly over scenes
-    wide, narrow = (scene_bootstrap(values, scene, 4000, 0) for values in (alike, mixed))
-    assert wide[1] - wide[0] > 0.2
-    assert narrow == pytest.approx((0.1, 0.1))
-    # k of 10 draws are the bad scene: the upper quantile is that of a binomial
-    assert wide[1] == stats.binom.ppf(0.975, 10, 0.1) / 10
-    assert scene_bootstrap(alike, scene, 500, 3) == scene_bootstrap(alike, scene, 500, 3)
-    assert all(math.isnan(end) for end in scene_bootstrap(np.zeros(0), np.zeros(0, int), 10, 0))
-
-
 def test_impossible_counts_are_refused():
     for count, n in ((-1, 3), (4, 3)):
         with pytest.raises(SettingsError, match="count"):
             clopper_pearson(count, n)
     with pytest.raises(SettingsError, match="level"):
         upper_bound(0, 3, level=1.0)
-    with pytest.raises(SettingsError, match="shares"):
-        mean_share_upper(np.array([0.5, 1.5]))
-    assert mean_share_upper(np.zeros(0)) == 1.0
-    assert mean_share_upper(np.ones(4)) == 1.0
+    with pytest.raises(SettingsError, match="values"):
+        mean_upper_bound(np.array([0.5, 1.5]))
+    assert mean_upper_bound(np.zeros(0)) == 1.0
+    assert mean_upper_bound(np.ones(4)) == 1.0
     assert clopper_pearson(0, 0) == (0.0, 1.0)

@@ -1,101 +1,44 @@
-"""A small study from end to end: resumable, the same with any number of workers, and honest about what holds."""
+"""A small planner study from end to end, and the paper's statements tested on constructed results."""
 
 import dataclasses
 import json
 import math
+import re
 
 import numpy as np
 import pytest
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.studies.planner import (
-    MAIN,
     Comparison,
     ComparisonSettings,
     Timing,
     TimingSettings,
-    compare,
-    contenders,
-    effects_of_cost,
-    effects_of_time,
-    measure_times,
-    paper_curves,
-    write_study,
+    n_plans,
+    run_comparison,
+    run_timing,
+    write_report,
 )
 from deltasafe.studies.planner.cost_comparison import MEASURES, SCENES
+from deltasafe.studies.planner.effects import effects_of_cost, effects_of_time
+from deltasafe.studies.planner.methods import MAIN, compared_methods
+from deltasafe.studies.planner.paper_curves import paper_curves
 from deltasafe.studies.planner.timing import TIMED
-from deltasafe.studies.resumable_jobs import Effort, run_batches
+from deltasafe.studies.resumable_jobs import Effort
 
-COSTS = ComparisonSettings(n_levels=2, n_runs=3, n_runs_beside=2, n_iterations=400, voxel_m=0.01)
+COSTS = ComparisonSettings(n_levels=2, n_runs=3, n_runs_reference=2, n_iterations=400, voxel_m=0.01)
 TIMES = TimingSettings(counts=(1, 12), n_runs=2, n_iterations=200, voxel_m=0.01)
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
-    return folder, compare(COSTS, folder / "batches"), measure_times(TIMES, folder / "batches")
+    return folder, run_comparison(COSTS, folder / "batches"), run_timing(TIMES, folder / "batches")
 
 
-def double(value, factor):
-    return {"value": np.array(value * factor)}
-
-
-def fail(value, factor):
-    raise RuntimeError("interrupted")
-
-
-def test_finished_batches_are_found_and_only_those_that_match(tmp_path):
-    jobs = [(f"job-{value}", (value, 2)) for value in range(4)]
-    told = []
-    batches, effort = run_batches(double, jobs, tmp_path, progress=lambda *report: told.append(report))
-    assert [int(batch["value"]) for batch in batches] == [0, 2, 4, 6]
-    assert effort.minutes >= 0
-    assert told[0][:2] == (0, 4)
-    assert told[-1][:2] == (4, 4)
-    # nothing is left to do, so that work which would fail is never asked
-    files = sorted(tmp_path.iterdir())
-    stamps = [file.stat().st_mtime_ns for file in files]
-    again, _ = run_batches(double, jobs, tmp_path, workers=2)
-    assert [int(batch["value"]) for batch in again] == [0, 2, 4, 6]
-    assert [file.stat().st_mtime_ns for file in sorted(tmp_path.iterdir())] == stamps
-    files[1].unlink()
-    run_batches(double, jobs, tmp_path)
-    assert sorted(tmp_path.iterdir()) == files
-    # other arguments and other work are other batches
-    other, _ = run_batches(double, [("job-0", (5, 2))], tmp_path)
-    assert int(other[0]["value"]) == 10
-    with pytest.raises(RuntimeError, match="interrupted"):
-        run_batches(fail, jobs, tmp_path)
-
-
-def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
-    def stop_after_two(done, total, message):
-        if done == 2:
-            raise KeyboardInterrupt
-
-    jobs = [(f"job-{value}", (value, 3)) for value in range(4)]
-    with pytest.raises(KeyboardInterrupt):
-        run_batches(double, jobs, tmp_path, progress=stop_after_two)
-    assert len(list(tmp_path.iterdir())) == 2
-    told = []
-    batches, _ = run_batches(double, jobs, tmp_path, progress=lambda *report: told.append(report))
-    assert told[0][0] == 2
-    assert [int(batch["value"]) for batch in batches] == [0, 3, 6, 9]
-
-
-def test_a_damaged_batch_is_named(tmp_path):
-    run_batches(double, [("job", (1, 1))], tmp_path)
-    (file,) = tmp_path.iterdir()
-    file.write_bytes(file.read_bytes()[:40])
-    with pytest.raises(DataError, match="delete it"):
-        run_batches(double, [("job", (1, 1))], tmp_path)
-    with pytest.raises(SettingsError, match="workers"):
-        run_batches(double, [], tmp_path, workers=0)
-
-
-def test_processes_side_by_side_make_the_same_runs(made, tmp_path):
+def test_number_of_workers_does_not_change_the_runs(made, tmp_path):
     folder, costs, _ = made
-    again = compare(COSTS, tmp_path, workers=2)
+    again = run_comparison(COSTS, tmp_path, workers=2)
     for measure in MEASURES:
         if measure != "seconds":
             np.testing.assert_array_equal(again.runs[measure], costs.runs[measure])
@@ -104,11 +47,11 @@ def test_processes_side_by_side_make_the_same_runs(made, tmp_path):
     )
 
 
-def test_every_method_plans_and_only_its_own_runs_count(made):
+def test_every_method_plans_its_own_number_of_runs(made):
     _, costs, _ = made
     for scene in SCENES:
-        for one in contenders(COSTS):
-            count = COSTS.n_runs if one.is_main else COSTS.n_runs_beside
+        for one in compared_methods(COSTS):
+            count = COSTS.runs_of(one.is_main)
             assert costs.of("cost_root", scene, one.name).shape == (2, count)
             found = costs.runs["n_nodes"][SCENES.index(scene), :, costs.names.index(one.name)]
             assert np.isfinite(found[:, :count]).all()
@@ -117,10 +60,10 @@ def test_every_method_plans_and_only_its_own_runs_count(made):
             solved = np.isfinite(root)
             assert (root[solved] >= length[solved] - 1e-12).all()
             assert (length[solved] >= math.sqrt(2) * 0.8 - 1e-9).all()
-            assert solved[0].all()  # with little uncertainty there is always a way
+            assert solved[0].all()  # at the smallest uncertainty a path exists
 
 
-def test_normalized_costs_follow_decision_20(made):
+def test_costs_are_normalized_as_in_decision_20(made):
     _, costs, _ = made
     for scene in SCENES:
         for suffix in ("", "_squared"):
@@ -132,7 +75,7 @@ def test_normalized_costs_follow_decision_20(made):
     assert error == pytest.approx(np.nanstd(raw, axis=1, ddof=1) / np.sqrt(np.isfinite(raw).sum(axis=1)))
 
 
-def test_what_is_saved_is_loaded(made, tmp_path):
+def test_saved_studies_load_equal(made, tmp_path):
     _, costs, times = made
     costs.save(tmp_path / "costs")
     times.save(tmp_path / "times")
@@ -146,7 +89,7 @@ def test_what_is_saved_is_loaded(made, tmp_path):
             load(tmp_path / folder)
 
 
-def test_culled_and_plain_formulas_grow_the_same_trees(made):
+def test_culling_does_not_change_the_trees(made):
     _, _, times = made
     for name in ("chance_constraint", "bounding_volume", "max_probability"):
         nodes = [times.n_nodes[:, TIMED.index(n)] for n in (name, f"{name}_culled")]
@@ -158,24 +101,26 @@ def test_culled_and_plain_formulas_grow_the_same_trees(made):
     assert (times.field_s > 0).all()
 
 
-def test_the_report_shows_figures_effects_and_pictures(made, tmp_path):
+def test_report_contains_figures_effects_and_tables(made, tmp_path):
     _, costs, times = made
-    figures = write_study(costs, times, tmp_path / "report")
+    figures = write_report(costs, times, tmp_path / "report")
     text = (tmp_path / "report" / "report.md").read_text()
     assert figures == json.loads((tmp_path / "report" / "figures.json").read_text())
-    assert figures["plans"] == 2 * 2 * (4 * 3 + 7 * 2)
+    assert figures["plans"] == n_plans(COSTS) == 2 * 2 * (4 * 3 + 7 * 2)
     for name in ("fig5", "fig5_references", "fig6", "above", "space"):
         assert f"({name}.png)" in text
         assert (tmp_path / "report" / f"{name}.png").stat().st_size > 10_000
-    for effect in (*effects_of_cost(costs), *effects_of_time(times)):
-        assert f"| {effect.claim} | **{'yes' if effect.holds else 'no'}** | {effect.evidence} |" in text
-        assert figures[f"holds_{effect.name}"] == float(effect.holds)
-    assert "nan" not in text
+    effects = effects_of_cost(costs) | effects_of_time(times)
+    verdicts = re.findall(r"\| \*\*(yes|no)\*\* \| \S", text)
+    assert verdicts == ["yes" if effect.holds else "no" for effect in effects.values()]
+    assert all(figures[f"holds_{name}"] == effect.holds for name, effect in effects.items())
+    assert len({line.count("|") for line in text.splitlines() if "**yes**" in line or "**no**" in line}) == 1
+    assert not re.search(r"nan|inf\b|\{", text)
 
 
-def invented_costs(rises):
-    """A comparison in which each method's cost rises linearly, with hardly any spread."""
-    names = [one.name for one in contenders(COSTS)]
+def constructed_costs(rises):
+    """Construct a comparison in which each method's cost rises by a given fraction, almost without spread."""
+    names = [one.name for one in compared_methods(COSTS)]
     runs = {name: np.ones((2, 2, len(names), 3)) for name in MEASURES}
     for index, name in enumerate(names):
         for scene in range(2):
@@ -186,7 +131,7 @@ def invented_costs(rises):
     return Comparison(COSTS, runs, Effort(1.0, 1.0))
 
 
-def test_effects_hold_where_the_paper_is_right_and_only_there():
+def test_effects_of_cost_hold_for_results_like_the_papers_only():
     like_the_paper = {
         "ours": (0.11, 0.24),
         "chance_constraint": (0.12, 0.33),
@@ -194,15 +139,15 @@ def test_effects_hold_where_the_paper_is_right_and_only_there():
         "max_probability": (0.3, 0.4),
         "chance_constraint_each": (0.1, 0.3),
     }
-    effects = {effect.name: effect.holds for effect in effects_of_cost(invented_costs(like_the_paper))}
+    effects = {name: effect.holds for name, effect in effects_of_cost(constructed_costs(like_the_paper)).items()}
     assert all(effects.values()), effects
-    turned = dict(zip(MAIN, reversed([like_the_paper[name] for name in MAIN]), strict=True))
-    turned["chance_constraint_each"] = (0.0, 0.0)
-    effects = {effect.name: effect.holds for effect in effects_of_cost(invented_costs(turned))}
+    reversed_rises = dict(zip(MAIN, reversed([like_the_paper[name] for name in MAIN]), strict=True))
+    reversed_rises["chance_constraint_each"] = (0.0, 0.0)
+    effects = {name: effect.holds for name, effect in effects_of_cost(constructed_costs(reversed_rises)).items()}
     assert not any(effects.values()), effects
 
 
-def test_effects_of_time_are_judged_by_times():
+def test_effects_of_time_follow_the_measured_times():
     settings = dataclasses.replace(TIMES, counts=(1, 10, 100))
     seconds = np.ones((3, len(TIMED), 2))
 
@@ -215,20 +160,20 @@ def test_effects_of_time_are_judged_by_times():
     like_the_paper = timing(
         chance_constraint=0.02, bounding_volume=0.01, max_probability=0.03, max_probability_numeric=1.0
     )
-    effects = {effect.name: effect.holds for effect in effects_of_time(like_the_paper)}
+    effects = {name: effect.holds for name, effect in effects_of_time(like_the_paper).items()}
     assert effects["parametric_grow"]
     assert not effects["parametric_grow_culled"]
     assert effects["order_of_slopes"]
     assert effects["flat_ours"]
     assert effects["slower_than_ours_chance_constraint"]
     assert not effects["slower_than_ours_chance_constraint_culled"]
-    ours = {effect.name: effect.holds for effect in effects_of_time(timing(ours=0.1))}
+    ours = {name: effect.holds for name, effect in effects_of_time(timing(ours=0.1)).items()}
     assert not ours["flat_ours"]
     assert ours["time_depends_on_samples"]
     assert not ours["parametric_grow"]
 
 
-def test_the_papers_curves_are_the_printed_ones():
+def test_paper_curves_are_the_printed_ones():
     """Spot checks against the coordinates in the paper's source."""
     curves = paper_curves()
     assert curves["cost"]["cluttered"]["chance_constraint"]["normalized_cost"][-1] == pytest.approx(0.953051, abs=1e-6)
@@ -243,10 +188,10 @@ def test_the_papers_curves_are_the_printed_ones():
 
 
 @pytest.mark.parametrize(
-    ("settings", "change", "told"),
+    ("settings", "change", "message"),
     [
-        (ComparisonSettings, {"n_levels": 1}, "two levels"),
-        (ComparisonSettings, {"n_runs": 10, "n_runs_beside": 11}, "beside"),
+        (ComparisonSettings, {"n_levels": 1}, "n_levels"),
+        (ComparisonSettings, {"n_runs": 10, "n_runs_reference": 11}, "n_runs_reference"),
         (ComparisonSettings, {"least_level_m": 0.0}, "levels"),
         (ComparisonSettings, {"delta": 0.6}, "delta"),
         (ComparisonSettings, {"voxel_m": -1.0}, "voxel_m"),
@@ -256,12 +201,12 @@ def test_the_papers_curves_are_the_printed_ones():
         (TimingSettings, {"radius_m": 0.0}, "radius_m"),
     ],
 )
-def test_impossible_studies_are_refused(settings, change, told):
-    with pytest.raises(SettingsError, match=told):
+def test_impossible_settings_are_refused(settings, change, message):
+    with pytest.raises(SettingsError, match=message):
         settings(**change)
 
 
-def test_the_study_is_the_papers():
+def test_default_study_has_the_papers_size():
     settings = ComparisonSettings()
     assert (settings.n_levels, settings.n_runs, settings.n_iterations, settings.n_samples) == (26, 100, 2000, 100)
     assert settings.n_levels * settings.n_runs * len(MAIN) * len(SCENES) == 20_800

@@ -1,0 +1,62 @@
+"""Predictors of p_occupied: a frozen ensemble, behind an interface that tests can implement."""
+
+import dataclasses
+import functools
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FrozenEnsemblePredictor", "Prediction", "Predictor"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Prediction:
+    """Predicted p_occupied of an image: ``ensemble`` (H, W) and ``members`` (M, H, W)."""
+
+    ensemble: NDArray[np.float32]
+    members: NDArray[np.float32]
+
+
+class Predictor(Protocol):
+    """Predicts p_occupied; a dataclass with a JSON form, because the digest of a batch includes it."""
+
+    def predict(self, rgb: NDArray[np.uint8]) -> Prediction:
+        """Predict p_occupied of an image (H, W, 3) uint8."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class FrozenEnsemblePredictor:
+    """A frozen ensemble. The temperature applies to the mean only; single members stay uncalibrated."""
+
+    folder: str
+
+    def predict(self, rgb: NDArray[np.uint8]) -> Prediction:
+        """Predict the calibrated mean of the members, and each member.
+
+        Raises:
+            ArtifactError: the folder holds no frozen ensemble.
+        """
+        from deltasafe.perception.calibration.temperature import apply_temperature
+
+        ensemble = _load(self.folder)
+        members = ensemble.member_p_occupied(rgb)
+        return Prediction(apply_temperature(members.mean(axis=0), ensemble.temperature).astype(np.float32), members)
+
+
+@functools.lru_cache(1)
+def _load(folder: str) -> Any:
+    """Load the ensemble and create its backend with one thread per process, which also fixes the order of sums."""
+    import torch
+
+    from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
+
+    ensemble = load_ensemble(folder)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        _ = ensemble.backend
+    finally:
+        torch.set_num_threads(threads)
+    return ensemble
