@@ -15,6 +15,7 @@ from deltasafe.execution import Execution
 from deltasafe.interchange.executions import export_execution, import_execution
 from deltasafe.perception.artifact.frozen_ensemble import verify_artifact, write_frozen_ensemble
 from deltasafe.perception.calibration.evaluation import evaluate
+from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
 from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
 from deltasafe.perception.calibration.write_report import write_calibration_report
 from deltasafe.perception.data.augmented_set import AugmentedSet
@@ -155,11 +156,12 @@ def _reports() -> Writer:
         np.clip(label / 255 * 0.8 + 0.1 + rng.normal(0, 0.05, (2, 48, 64)), 0.01, 0.99).astype(np.float32)
         for label in labels
     ]
-    made = evaluate([f"image_{n}" for n in range(4)], labels, guesses, CalibrationSettings(n_bootstrap=100))
+    images = LabeledPredictions([f"image_{n}" for n in range(4)], labels, guesses)
+    made = evaluate(images, CalibrationSettings(n_bootstrap=100))
 
     def write(home: pathlib.Path, number: int, say: Say) -> None:
         named = dataclasses.replace(made, image_ids=tuple(f"{number}_{n}" for n in range(4)))
-        write_calibration_report(home / "report", named, labels=labels, predictions=guesses)
+        write_calibration_report(home / "report", named, dataclasses.replace(images, image_ids=named.image_ids))
         say(number)
 
     def read(home: pathlib.Path) -> int:

@@ -1,4 +1,4 @@
-"""Evaluate trained members on labeled images, and freeze them as they were evaluated."""
+"""Evaluate trained members on labeled images, and freeze them with the settings they were evaluated with."""
 
 import dataclasses
 import pathlib
@@ -24,13 +24,15 @@ from deltasafe.perception.training.train_member import pick_device
 
 __all__ = ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"]
 
+_RECORD = "judged.json"
+
 
 @dataclasses.dataclass(frozen=True)
 class EvaluationSettings:
     """How an ensemble is evaluated.
 
     Attributes:
-        inference: resolution that the networks see; the ensemble is frozen with it.
+        inference: resolution of the networks' input; stored with the frozen ensemble.
         calibration: intervals, folds, and what is fitted.
     """
 
@@ -51,11 +53,12 @@ def evaluate_ensemble(
     """Evaluate members and ensembles of growing size on labeled images, and write the calibration report.
 
     Args:
-        test: labeled images that no training has seen. Each is predicted once with every member.
+        members: of one ensemble.
+        test: labeled images that were not used for training. Each is predicted once with every member.
         folder: destination of the report. The predictions are stored beside it in ``FOLDER-predictions``.
         settings: of inference and calibration.
         calibration_images: further labeled images to fit temperature, delta and threshold on (their predictions are
-            stored in ``FOLDER-calibration-predictions``). Without them the test images are cross-fitted.
+            stored in ``FOLDER-calibration-predictions``). Without them, the test images are cross-fitted.
         device: ``cpu``, ``cuda`` or ``auto``.
 
     Raises:
@@ -71,28 +74,22 @@ def evaluate_ensemble(
         except DataError as error:
             raise DataError(error.path, "is a calibration image as well; remove it from one of the two sets") from error
     ensemble = Ensemble([member.network() for member in members], settings.inference, str(pick_device(device)))
-    judged = _predicted(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
-    fitted = None
+    predictions = _predict(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
+    calibration = None
     if calibration_images is not None:
         destination = folder.with_name(f"{folder.name}-calibration-predictions")
-        fitted = _predicted(ensemble, calibration_images, destination, progress)
-    report = evaluate(judged.image_ids, judged.labels, judged.predictions, settings.calibration, progress, fitted)
-    position = {item.id: index for index, item in enumerate(test.items)}
-    write_calibration_report(
-        folder,
-        report,
-        labels=judged.labels,
-        predictions=judged.predictions,
-        load_image=lambda image_id: test.read(position[image_id])[0],
-    )
+        calibration = _predict(ensemble, calibration_images, destination, progress)
+    report = evaluate(predictions, settings.calibration, calibration, progress)
+    position = _positions(test)
+    write_calibration_report(folder, report, predictions, lambda image_id: test.read(position[image_id])[0])
     record = {
-        "members": [member.record["weights_sha256"] for member in members],
+        "members": _weights(members),
         "inference": dataclasses.asdict(settings.inference),
         "test_digest": test.digest,
     }
     if calibration_images is not None:
         record["calibration_digest"] = calibration_images.digest
-    write_json(folder / "judged.json", record)
+    write_json(folder / _RECORD, record)
     return report
 
 
@@ -105,8 +102,9 @@ def freeze_ensemble(
     """Freeze members with the settings and the calibration that they were evaluated with.
 
     Args:
+        members: those that were evaluated.
         report_folder: folder of `evaluate_ensemble`.
-        golden_rgb: (H, W, 3) uint8; consumers compare the ensemble's answer to it with the stored one.
+        golden_rgb: (H, W, 3) uint8; its prediction is stored, so that users can compare theirs.
         parent: folder that the artifact ``ensemble-DIGEST`` is written into.
 
     Returns:
@@ -117,26 +115,34 @@ def freeze_ensemble(
         SettingsError: the report is about other members.
     """
     report_folder = pathlib.Path(report_folder)
-    judged = read_json(report_folder / "judged.json")
-    if judged["members"] != [member.record["weights_sha256"] for member in members]:
+    record = read_json(report_folder / _RECORD)
+    if record["members"] != _weights(members):
         raise SettingsError(f"{report_folder} is about other members; evaluate these members, then freeze them")
-    data = {"test_images": judged["test_digest"]}
-    if "calibration_digest" in judged:
-        data["calibration_images"] = judged["calibration_digest"]
+    data = {"test_images": record["test_digest"]}
+    if "calibration_digest" in record:
+        data["calibration_images"] = record["calibration_digest"]
     calibration = CalibrationReport.load(report_folder).calibration
-    inference = InferenceSettings(**judged["inference"])
+    inference = InferenceSettings(**record["inference"])
     return write_frozen_ensemble(list(members), inference, calibration, golden_rgb, pathlib.Path(parent), data)
 
 
-def _predicted(
-    ensemble: Ensemble, hands: LabeledImageSet, folder: pathlib.Path, progress: Progress
+def _predict(
+    ensemble: Ensemble, images: LabeledImageSet, folder: pathlib.Path, progress: Progress
 ) -> LabeledPredictions:
-    position = {item.id: index for index, item in enumerate(hands.items)}
+    position = _positions(images)
     predictions = MemberPredictions.write(
         folder,
         list(position),
-        lambda image_id: ensemble.member_p_occupied(hands.read(position[image_id])[0]),
+        lambda image_id: ensemble.member_p_occupied(images.read(position[image_id])[0]),
         progress,
     )
-    labels = [hands.read(index)[1].astype(bool) for index in range(len(hands))]
+    labels = [images.read(index)[1].astype(bool) for index in range(len(images))]
     return LabeledPredictions(list(position), labels, predictions)
+
+
+def _positions(images: LabeledImageSet) -> dict[str, int]:
+    return {item.id: index for index, item in enumerate(images.items)}
+
+
+def _weights(members: Sequence[Member]) -> list[str]:
+    return [member.record["weights_sha256"] for member in members]

@@ -109,12 +109,11 @@ class FrozenEyes:
         Raises:
             ArtifactError: the folder holds no frozen ensemble.
         """
-        from deltasafe.perception.calibration.temperature import apply_temperature
+        from deltasafe.perception.calibration.temperature import pooled_probability
 
         ensemble = _ensemble(self.folder)
         members = ensemble.member_p_occupied(rgb)
-        pooled = apply_temperature(members.mean(axis=0), ensemble.temperature).astype(np.float32)
-        return Sight(pooled, members)
+        return Sight(pooled_probability(members, ensemble.temperature).astype(np.float32), members)
 
 
 @functools.lru_cache(1)
