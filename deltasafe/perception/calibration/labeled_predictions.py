@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,15 @@ from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.metrics import require_label, require_labeled_prediction, require_p_occupied
 from deltasafe.perception.calibration.temperature import pooled_probability
 
-__all__ = ["LabeledPredictions"]
+__all__ = ["LabeledPredictions", "PredictionSource"]
+
+
+class PredictionSource(Protocol):
+    """N arrays (M, H, W) of the p_occupied of M members, for example a list or `MemberPredictions`."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> NDArray[np.floating]: ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,12 +29,12 @@ class LabeledPredictions:
     Attributes:
         image_ids: N unique names.
         labels: N masks (H, W), bool or 0/255; sizes may differ between images.
-        predictions: N arrays (M, H, W) of the members' p_occupied; read one at a time (`MemberPredictions`).
+        predictions: of the N images; read one at a time.
     """
 
     image_ids: Sequence[str]
     labels: Sequence[NDArray[np.generic]]
-    predictions: Sequence[NDArray[np.floating]]
+    predictions: PredictionSource
 
     def __post_init__(self) -> None:
         n_images = len(self.image_ids)
