@@ -2,7 +2,7 @@
 
 import dataclasses
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from deltasafe.perception.settings import InferenceSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.train_member import pick_device
 
-__all__ = ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"]
+__all__ = ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble", "predict_images", "read_labels"]
 
 _RECORD = "judged.json"
 
@@ -74,14 +74,13 @@ def evaluate_ensemble(
         except DataError as error:
             raise DataError(error.path, "is a calibration image as well; remove it from one of the two sets") from error
     ensemble = Ensemble([member.network() for member in members], settings.inference, str(pick_device(device)))
-    predictions = _predict(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
+    evaluated = _labeled_predictions(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
     calibration = None
     if calibration_images is not None:
         destination = folder.with_name(f"{folder.name}-calibration-predictions")
-        calibration = _predict(ensemble, calibration_images, destination, progress)
-    report = evaluate(predictions, settings.calibration, calibration, progress)
-    position = _positions(test)
-    write_calibration_report(folder, report, predictions, lambda image_id: test.read(position[image_id])[0])
+        calibration = _labeled_predictions(ensemble, calibration_images, destination, progress)
+    report = evaluate(evaluated, settings.calibration, calibration, progress)
+    write_calibration_report(folder, report, evaluated, _image_loader(test))
     record = {
         "members": _weights(members),
         "inference": dataclasses.asdict(settings.inference),
@@ -126,22 +125,30 @@ def freeze_ensemble(
     return write_frozen_ensemble(list(members), inference, calibration, golden_rgb, pathlib.Path(parent), data)
 
 
-def _predict(
+def predict_images(
+    ensemble: Ensemble, images: LabeledImageSet, folder: str | pathlib.Path, progress: Progress = silent
+) -> MemberPredictions:
+    """Predict every image once with all members, and store the predictions in ``folder``."""
+    load = _image_loader(images)
+    ids = [item.id for item in images.items]
+    return MemberPredictions.write(folder, ids, lambda image_id: ensemble.member_p_occupied(load(image_id)), progress)
+
+
+def read_labels(images: LabeledImageSet) -> list[NDArray[np.bool_]]:
+    """Read the (H, W) labels of all images."""
+    return [images.read(index)[1].astype(bool) for index in range(len(images))]
+
+
+def _labeled_predictions(
     ensemble: Ensemble, images: LabeledImageSet, folder: pathlib.Path, progress: Progress
 ) -> LabeledPredictions:
-    position = _positions(images)
-    predictions = MemberPredictions.write(
-        folder,
-        list(position),
-        lambda image_id: ensemble.member_p_occupied(images.read(position[image_id])[0]),
-        progress,
-    )
-    labels = [images.read(index)[1].astype(bool) for index in range(len(images))]
-    return LabeledPredictions(list(position), labels, predictions)
+    predictions = predict_images(ensemble, images, folder, progress)
+    return LabeledPredictions(predictions.image_ids, read_labels(images), predictions)
 
 
-def _positions(images: LabeledImageSet) -> dict[str, int]:
-    return {item.id: index for index, item in enumerate(images.items)}
+def _image_loader(images: LabeledImageSet) -> Callable[[str], NDArray[np.uint8]]:
+    position = {item.id: index for index, item in enumerate(images.items)}
+    return lambda image_id: images.read(position[image_id])[0]
 
 
 def _weights(members: Sequence[Member]) -> list[str]:

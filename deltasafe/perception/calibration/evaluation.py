@@ -9,6 +9,8 @@ the test images if there is a separate calibration set, otherwise by cross-fitti
 
 import dataclasses
 import functools
+import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -70,7 +72,8 @@ def evaluate(
     n_fitted = len(calibration or images)
     if 1 < n_fitted < settings.n_folds:
         raise SettingsError(f"n_folds is {settings.n_folds}, but there are {n_fitted} images")
-    run = _Evaluation(images, calibration, settings, _Steps(progress, len(images), len(calibration or ())))
+    done, total = itertools.count(1), 2 * (len(images) + len(calibration or ()))  # every image is read twice
+    run = _Evaluation(images, calibration, settings, lambda message: progress(next(done), total, message))
     members, smaller, whole, test_fit = run.score()
     fit = test_fit if calibration is None else run.accumulate_fit(calibration, len(members))
     uncalibrated = run.result(whole, 1.0, np.ones(len(images)), stack_counts(fit.safety))
@@ -93,23 +96,12 @@ def evaluate(
     )
 
 
-class _Steps:
-    """Reports progress: each test image is read twice, each calibration image as well."""
-
-    def __init__(self, progress: Progress, n_images: int, n_calibration: int) -> None:
-        self.progress, self.done, self.total = progress, 0, 2 * (n_images + n_calibration)
-
-    def __call__(self, message: str) -> None:
-        self.done += 1
-        self.progress(self.done, self.total, message)
-
-
 @dataclasses.dataclass(frozen=True)
 class _Evaluation:
     images: LabeledPredictions
     calibration: LabeledPredictions | None
     settings: CalibrationSettings
-    step: _Steps
+    step: Callable[[str], None]
 
     @functools.cached_property
     def weights(self) -> NDArray[np.int64]:

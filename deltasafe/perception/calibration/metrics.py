@@ -161,15 +161,9 @@ def score_image(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) ->
     )
 
 
-def pool_scores(images: Sequence[ImageScores], weights: Sequence[float] | None = None) -> Scores:
-    """Aggregate over images: PA and mIoU as means over images, BS and NLL as means over all pixels.
-
-    Args:
-        images: scores of N >= 1 images.
-        weights: (N,) multiplicity of each image in a bootstrap sample; 1 by default.
-    """
-    weight = np.ones(len(images)) if weights is None else np.asarray(weights, dtype=np.float64)
-    return Scores(*bootstrap_scores(images, weight[None])[0].tolist())
+def pool_scores(images: Sequence[ImageScores]) -> Scores:
+    """Aggregate over N >= 1 images: PA and mIoU as means over images, BS and NLL as means over all pixels."""
+    return Scores(*bootstrap_scores(images, np.ones((1, len(images))))[0].tolist())
 
 
 def bootstrap_scores(images: Sequence[ImageScores], weights: NDArray[np.number]) -> NDArray[np.float64]:

@@ -40,9 +40,9 @@ class LogitCounts:
     count: NDArray[np.int64]
     logit_sum: NDArray[np.float64]
 
-    def without(self, image: int | NDArray[np.intp]) -> "LogitCounts":
-        """Leave out one or several images."""
-        return LogitCounts(np.delete(self.count, image, axis=0), np.delete(self.logit_sum, image, axis=0))
+    def without(self, images: NDArray[np.intp]) -> "LogitCounts":
+        """Leave out images by index."""
+        return LogitCounts(np.delete(self.count, images, axis=0), np.delete(self.logit_sum, images, axis=0))
 
 
 def pooled_probability(member_probabilities: NDArray[np.floating], temperature: float = 1.0) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ from deltasafe.perception.data.augmentation import AugmentationSettings
 from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.schemes import SCHEMES, ComparedSettings, CutoutSettings, MixupSettings, SchemeSettings
+from deltasafe.perception.evaluate_and_freeze import predict_images, read_labels
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.inference.predictions import MemberPredictions
 from deltasafe.perception.settings import InferenceSettings, TrainingSettings
@@ -131,8 +132,7 @@ class Study:
         """Load the finished members of the cell, in the order of their seeds."""
         if (data := self.find_set(cell)) is None:
             return []
-        identities = [training_identity(data, self.training_settings(cell), seed) for seed in self._seeds(cell)]
-        found = [Member.find(self._member_folder(identity), identity) for identity in identities]
+        found = [Member.find(job.folder, identity) for identity, job in self._jobs(cell, data).items()]
         return [member for member in found if member is not None]
 
     def find(self, cell: Cell) -> CalibrationReport | None:
@@ -163,23 +163,18 @@ class Study:
 
     def members(self, cell: Cell, on_step: OnStep | None = None, progress: Progress = silent) -> list[Member]:
         """Load the members of the cell, and train the unfinished ones; an interrupted training is resumed."""
-        data, training = self.augmented_set(cell, progress), self.training_settings(cell)
-        identities = {seed: training_identity(data, training, seed) for seed in self._seeds(cell)}
-        jobs = [
-            MemberJob(f"{cell.name}/{seed}", seed, self._member_folder(identity))
-            for seed, identity in identities.items()
-        ]
-        missing = [job for job in jobs if Member.find(job.folder, identities[job.seed]) is None]
+        data = self.augmented_set(cell, progress)
+        jobs = self._jobs(cell, data)
         train_members(
-            missing,
+            [job for identity, job in jobs.items() if Member.find(job.folder, identity) is None],
             data.folder,
-            training,
+            self.training_settings(cell),
             device=self.device,
             workers=self.workers,
             on_step=on_step,
             executor=self.executor,
         )
-        members = [Member.load(job.folder) for job in jobs]
+        members = [Member.load(job.folder) for job in jobs.values()]
         assert {len(member.losses) for member in members} == {self.n_steps(cell)}
         return members
 
@@ -194,7 +189,7 @@ class Study:
             return found
         members = self.members(cell, on_step, progress)
         ids = [item.id for item in self.test.items]
-        images = LabeledPredictions(ids, self._labels, self.predictions(cell, members, progress))
+        images = LabeledPredictions(ids, read_labels(self.test), self.predictions(cell, members, progress))
         report = evaluate(images, self.calibration, progress=progress)
         write_json(self.report_folder(cell) / "report.json", report)
         return report
@@ -216,8 +211,14 @@ class Study:
         height = round(width * self.augmentation.height / self.augmentation.width)
         return dataclasses.replace(self.augmentation, width=width, height=height)
 
-    def _seeds(self, cell: Cell) -> range:
-        return range(self.settings.first_seed, self.settings.first_seed + cell.n_members)
+    def _jobs(self, cell: Cell, data: AugmentedSet) -> dict[str, MemberJob]:
+        """Return one job for each member, by the identity of its training."""
+        training, jobs = self.training_settings(cell), {}
+        for seed in range(self.settings.first_seed, self.settings.first_seed + cell.n_members):
+            identity = training_identity(data, training, seed)
+            folder = self.home / "ensemble_member" / identity[:16]
+            jobs[identity] = MemberJob(f"{cell.name}/{seed}", seed, folder)
+        return jobs
 
     def _steps_per_epoch(self, n_images: int) -> int:
         return max(1, n_images // self.training.batch_size)
@@ -226,9 +227,6 @@ class Study:
         backgrounds = self._backgrounds_digest if cell.scheme == "ours" else ""
         settings, code = self.scheme_settings(cell), digest_of_code(augment_images)
         return self._folder("sets", [cell.scheme, settings, self.train.digest, backgrounds, code])
-
-    def _member_folder(self, identity: str) -> pathlib.Path:
-        return self.home / "ensemble_member" / identity[:16]
 
     def _folder(self, kind: str, key: object) -> pathlib.Path:
         return self.home / "study" / kind / digest_of(key)[:16]
@@ -242,17 +240,7 @@ class Study:
         if (folder / "index.json").is_file():
             return MemberPredictions(folder)
         ensemble = Ensemble([member.network()], inference, str(pick_device(self.device)))
-        position = {item.id: index for index, item in enumerate(self.test.items)}
-        return MemberPredictions.write(
-            folder,
-            list(position),
-            lambda image_id: ensemble.member_p_occupied(self.test.read(position[image_id])[0]),
-            progress,
-        )
-
-    @functools.cached_property
-    def _labels(self) -> list[NDArray[np.bool_]]:
-        return [self.test.read(index)[1].astype(bool) for index in range(len(self.test))]
+        return predict_images(ensemble, self.test, folder, progress)
 
     @functools.cached_property
     def _backgrounds_digest(self) -> str:

@@ -25,6 +25,11 @@ def images_of(n_members):
     return [score_image(p, label) for p, label in zip(means, IMAGES.labels, strict=True)]
 
 
+def pooled_samples(images, draws, name):
+    """A score over explicitly repeated images."""
+    return np.array([getattr(pool_scores(np.repeat(images, draw).tolist()), name) for draw in draws])
+
+
 def test_row_has_scores_and_bootstrap_intervals_of_the_first_members(report):
     rows = ensemble_size_rows(report)
     assert [row.n_members for row in rows] == list(range(1, 12))
@@ -33,11 +38,11 @@ def test_row_has_scores_and_bootstrap_intervals_of_the_first_members(report):
         images, single = images_of(m), images_of(1)
         assert rows[m - 1].scores == pool_scores(images)
         for name in ("pixel_accuracy", "miou", "brier", "nll"):
-            samples = [getattr(pool_scores(images, draw), name) for draw in draws]
+            samples = pooled_samples(images, draws, name)
             low, high = np.quantile(samples, [0.05, 0.95])
             assert getattr(rows[m - 1].low, name) == pytest.approx(low, abs=1e-12)
             assert getattr(rows[m - 1].high, name) == pytest.approx(high, abs=1e-12)
-            change = np.array(samples) - [getattr(pool_scores(single, draw), name) for draw in draws]
+            change = samples - pooled_samples(single, draws, name)
             low, high = np.quantile(change, [0.05, 0.95])
             assert getattr(rows[m - 1].change_low, name) == pytest.approx(low, abs=1e-12)
             assert getattr(rows[m - 1].change_high, name) == pytest.approx(high, abs=1e-12)
