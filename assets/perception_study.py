@@ -96,47 +96,48 @@ def study_cell(
     return made
 
 
-def _report_asset(name: str, section: str, description: str) -> dg.AssetsDefinition:
-    """Define an asset that writes one section of the report from the finished cells, and names the missing ones."""
-
-    @dg.asset(
-        name=name,
-        description=description,
-        group_name=GROUP,
-        owners=OWNERS,
-        kinds={"markdown"},
-        code_version="1",
-        ins={"study_cell": dg.AssetIn(metadata={"allow_missing_partitions": True})},
-    )
-    @no_retry
-    def write_section(
-        context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
-    ) -> dg.Output[pathlib.Path]:
-        from deltasafe.perception.calibration.report import CalibrationReport
-        from deltasafe.studies.perception.report import write_study
-
-        reports = {cell: CalibrationReport.load(folder) for cell, folder in study_cell.items()}
-        folder = store.folder(name, context.run.run_id[:8])
-        report = write_study(folder, PRESET.study, reports, [section])
-        metadata: Metadata = {"report": inline_report(report), "finished cells": len(reports), "folder": str(folder)}
-        return dg.Output(folder, metadata=metadata)
-
-    return write_section
+# the tables show the finished cells and name the missing ones
+_FINISHED = {"study_cell": dg.AssetIn(metadata={"allow_missing_partitions": True})}
 
 
-augmentation_tables = _report_asset(
-    "augmentation_tables",
-    "schemes",
-    "Tables I and II: our scheme and the four schemes that the paper compares it with, beside the paper's values.",
-)
-ensemble_size = _report_asset(
-    "ensemble_size",
-    "ensemble_size",
-    "Table III and Fig. 4: scores and reliability over the number of members, from one set of stored predictions.",
-)
-augmentation_ablation = _report_asset(
-    "augmentation_ablation", "ablation", "The effect of each method of our scheme: each is left out once."
-)
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1", ins=_FINISHED)
+@no_retry
+def augmentation_tables(
+    context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
+) -> dg.Output[pathlib.Path]:
+    """Tables I and II: our scheme and the four schemes that the paper compares it with, beside the paper's values."""
+    return _write_section(context, "schemes", study_cell, store)
+
+
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1", ins=_FINISHED)
+@no_retry
+def ensemble_size(
+    context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
+) -> dg.Output[pathlib.Path]:
+    """Table III and Fig. 4: scores and reliability over the number of members, from one set of stored predictions."""
+    return _write_section(context, "ensemble_size", study_cell, store)
+
+
+@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1", ins=_FINISHED)
+@no_retry
+def augmentation_ablation(
+    context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
+) -> dg.Output[pathlib.Path]:
+    """The effect of each method of our scheme: each is left out once."""
+    return _write_section(context, "ablation", study_cell, store)
+
+
+def _write_section(
+    context: dg.AssetExecutionContext, section: str, cell_folders: dict[str, pathlib.Path], store: Store
+) -> dg.Output[pathlib.Path]:
+    from deltasafe.perception.calibration.report import CalibrationReport
+    from deltasafe.studies.perception.report import write_study
+
+    reports = {name: CalibrationReport.load(folder) for name, folder in cell_folders.items()}
+    folder = store.folder(context.asset_key.to_user_string(), context.run.run_id[:8])
+    report = write_study(folder, PRESET.study, reports, [section])
+    metadata: Metadata = {"report": inline_report(report), "finished cells": len(reports), "folder": str(folder)}
+    return dg.Output(folder, metadata=metadata)
 
 
 def _steps_of(context: dg.AssetExecutionContext) -> "OnStep":
