@@ -1,7 +1,6 @@
-"""The paper's studies of perception: compared augmentation schemes, ensemble size, ablation. Hours of training."""
+"""The paper's studies of perception: augmentation schemes, ensemble size, ablation. Several hours of training."""
 
 import pathlib
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import dagster as dg
@@ -16,13 +15,13 @@ from deltasafe.compute.executor import LOCAL, Executor
 
 if TYPE_CHECKING:
     from deltasafe.perception.training.train_member import StepReport
-    from deltasafe.studies.perception.study import Study
+    from deltasafe.studies.perception.study import OnStep, Study
 
 PRESET = presets.active()
 GROUP = "perception_study"
 OWNERS = ["team:perception"]
 
-# a scheme at a size, or our scheme without one method; in the order of work
+# in the order of work
 cells = dg.StaticPartitionsDefinition([cell.name for cell in PRESET.study.cells()])
 
 AugmentationConfig = configurable(PRESET.augmentation)
@@ -32,7 +31,7 @@ CalibrationConfig = configurable(PRESET.calibration)
 
 
 class CellConfig(dg.Config):
-    """How every cell is made, trained and judged; number of images, methods and epochs are the cell's own."""
+    """Settings of all cells. Number of images, left-out method and epochs are set by the cell."""
 
     augmentation: AugmentationConfig = AugmentationConfig()
     training: TrainingConfig = TrainingConfig()
@@ -46,9 +45,8 @@ class CellConfig(dg.Config):
 def open_study(
     config: CellConfig, train: pathlib.Path, test: pathlib.Path, store: Store, executor: Executor = LOCAL
 ) -> "Study":
-    """The study of the active preset; the command line opens it here as well, so both find the same work."""
+    """Open the study of the active preset. Assets and command line use this function, so they share their results."""
     from deltasafe.perception.data.labeled_images import LabeledImageSet
-    from deltasafe.studies.perception.store import StudyStore
     from deltasafe.studies.perception.study import Study
 
     return Study(
@@ -60,7 +58,7 @@ def open_study(
         train=LabeledImageSet.load(train),
         test=LabeledImageSet.load(test),
         backgrounds=store.dataset(config.backgrounds, "backgrounds")[0],
-        store=StudyStore(store.home / "store"),
+        home=store.home / "store",
         device=config.device,
         workers=config.workers,
         executor=executor,
@@ -86,11 +84,11 @@ def study_cell(
     tracker: dg.ResourceParam[Tracker],
     executor: dg.ResourceParam[Executor],
 ) -> dict[str, pathlib.Path]:
-    """An ensemble for each scheme and size, all with the same number of gradient steps, judged on the test images."""
+    """One ensemble per scheme and size, all trained with the same number of gradient steps, and its scores."""
     study, made = open_study(config, raw_hands, test_hands, store, executor), {}
     for cell in study.settings.cells():
         if cell.name in context.partition_keys:
-            report = study.judge(cell, _steps_of(context), progress_of(context))
+            report = study.evaluate(cell, _steps_of(context), progress_of(context))
             made[cell.name] = folder = study.report_folder(cell)
             page = tracker.report(folder.name, report.figures(), folder, {"test hands": study.test.digest})
             metadata = {**report.figures(), "distinct images": study.augmented_set(cell).n_distinct, **page_link(page)}
@@ -98,7 +96,7 @@ def study_cell(
     return made
 
 
-# tables show what is finished, and name what is missing
+# the tables show the finished cells and name the missing ones
 _FINISHED = {"study_cell": dg.AssetIn(metadata={"allow_missing_partitions": True})}
 
 
@@ -107,8 +105,8 @@ _FINISHED = {"study_cell": dg.AssetIn(metadata={"allow_missing_partitions": True
 def augmentation_tables(
     context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
-    """Tables I and II: our scheme beside the four that the paper compares it with, and the paper's own figures."""
-    return _reported(context, "schemes", study_cell, store)
+    """Tables I and II: our scheme and the four schemes that the paper compares it with, beside the paper's values."""
+    return _write_section(context, "schemes", study_cell, store)
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1", ins=_FINISHED)
@@ -116,8 +114,8 @@ def augmentation_tables(
 def ensemble_size(
     context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
-    """Table III and Fig. 4: what more members bring, from one set of stored predictions."""
-    return _reported(context, "ensemble_size", study_cell, store)
+    """Table III and Fig. 4: scores and reliability over the number of members, from one set of stored predictions."""
+    return _write_section(context, "ensemble_size", study_cell, store)
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"markdown"}, code_version="1", ins=_FINISHED)
@@ -125,28 +123,28 @@ def ensemble_size(
 def augmentation_ablation(
     context: dg.AssetExecutionContext, study_cell: dict[str, pathlib.Path], store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
-    """What each method of our scheme is worth: left out once, all else alike."""
-    return _reported(context, "ablation", study_cell, store)
+    """The effect of each method of our scheme: each is left out once."""
+    return _write_section(context, "ablation", study_cell, store)
 
 
-def _reported(
-    context: dg.AssetExecutionContext, section: str, judged: dict[str, pathlib.Path], store: Store
+def _write_section(
+    context: dg.AssetExecutionContext, section: str, cell_folders: dict[str, pathlib.Path], store: Store
 ) -> dg.Output[pathlib.Path]:
     from deltasafe.perception.calibration.report import CalibrationReport
     from deltasafe.studies.perception.report import write_study
 
-    reports = {name: CalibrationReport.load(folder) for name, folder in judged.items()}
+    reports = {name: CalibrationReport.load(folder) for name, folder in cell_folders.items()}
     folder = store.folder(context.asset_key.to_user_string(), context.run.run_id[:8])
     report = write_study(folder, PRESET.study, reports, [section])
     metadata: Metadata = {"report": inline_report(report), "finished cells": len(reports), "folder": str(folder)}
     return dg.Output(folder, metadata=metadata)
 
 
-def _steps_of(context: dg.AssetExecutionContext) -> "Callable[[str, StepReport], None]":
-    said = progress_of(context, every_s=20.0)
+def _steps_of(context: dg.AssetExecutionContext) -> "OnStep":
+    log_progress = progress_of(context, every_s=20.0)
 
     def on_step(name: str, step: "StepReport") -> None:
         text = f"{name}: step {step.step} of {step.n_steps}, loss {step.loss:.3f}, {step.images_per_s:.1f} images/s"
-        said(step.step, step.n_steps + 1, text)
+        log_progress(step.step, step.n_steps + 1, text)
 
     return on_step

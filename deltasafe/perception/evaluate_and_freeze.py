@@ -1,8 +1,8 @@
-"""Evaluate trained members on labeled images, and freeze them as they were evaluated."""
+"""Evaluate trained members on labeled images, and freeze them with the settings they were evaluated with."""
 
 import dataclasses
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,9 @@ from deltasafe.perception.settings import InferenceSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.train_member import pick_device
 
-__all__ = ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"]
+__all__ = ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble", "predict_images", "read_labels"]
+
+_RECORD = "judged.json"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +32,7 @@ class EvaluationSettings:
     """How an ensemble is evaluated.
 
     Attributes:
-        inference: resolution that the networks see; the ensemble is frozen with it.
+        inference: resolution of the networks' input; stored with the frozen ensemble.
         calibration: intervals, folds, and what is fitted.
     """
 
@@ -51,11 +53,12 @@ def evaluate_ensemble(
     """Evaluate members and ensembles of growing size on labeled images, and write the calibration report.
 
     Args:
-        test: labeled images that no training has seen. Each is predicted once with every member.
+        members: of one ensemble.
+        test: labeled images that were not used for training. Each is predicted once with every member.
         folder: destination of the report. The predictions are stored beside it in ``FOLDER-predictions``.
         settings: of inference and calibration.
         calibration_images: further labeled images to fit temperature, delta and threshold on (their predictions are
-            stored in ``FOLDER-calibration-predictions``). Without them the test images are cross-fitted.
+            stored in ``FOLDER-calibration-predictions``). Without them, the test images are cross-fitted.
         device: ``cpu``, ``cuda`` or ``auto``.
 
     Raises:
@@ -71,28 +74,21 @@ def evaluate_ensemble(
         except DataError as error:
             raise DataError(error.path, "is a calibration image as well; remove it from one of the two sets") from error
     ensemble = Ensemble([member.network() for member in members], settings.inference, str(pick_device(device)))
-    judged = _predicted(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
-    fitted = None
+    evaluated = _labeled_predictions(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
+    calibration = None
     if calibration_images is not None:
         destination = folder.with_name(f"{folder.name}-calibration-predictions")
-        fitted = _predicted(ensemble, calibration_images, destination, progress)
-    report = evaluate(judged.image_ids, judged.labels, judged.predictions, settings.calibration, progress, fitted)
-    position = {item.id: index for index, item in enumerate(test.items)}
-    write_calibration_report(
-        folder,
-        report,
-        labels=judged.labels,
-        predictions=judged.predictions,
-        load_image=lambda image_id: test.read(position[image_id])[0],
-    )
+        calibration = _labeled_predictions(ensemble, calibration_images, destination, progress)
+    report = evaluate(evaluated, settings.calibration, calibration, progress)
+    write_calibration_report(folder, report, evaluated, _image_loader(test))
     record = {
-        "members": [member.record["weights_sha256"] for member in members],
+        "members": _weights(members),
         "inference": dataclasses.asdict(settings.inference),
         "test_digest": test.digest,
     }
     if calibration_images is not None:
         record["calibration_digest"] = calibration_images.digest
-    write_json(folder / "judged.json", record)
+    write_json(folder / _RECORD, record)
     return report
 
 
@@ -105,8 +101,9 @@ def freeze_ensemble(
     """Freeze members with the settings and the calibration that they were evaluated with.
 
     Args:
+        members: those that were evaluated.
         report_folder: folder of `evaluate_ensemble`.
-        golden_rgb: (H, W, 3) uint8; consumers compare the ensemble's answer to it with the stored one.
+        golden_rgb: (H, W, 3) uint8; its prediction is stored, so that users can compare theirs.
         parent: folder that the artifact ``ensemble-DIGEST`` is written into.
 
     Returns:
@@ -117,26 +114,42 @@ def freeze_ensemble(
         SettingsError: the report is about other members.
     """
     report_folder = pathlib.Path(report_folder)
-    judged = read_json(report_folder / "judged.json")
-    if judged["members"] != [member.record["weights_sha256"] for member in members]:
+    record = read_json(report_folder / _RECORD)
+    if record["members"] != _weights(members):
         raise SettingsError(f"{report_folder} is about other members; evaluate these members, then freeze them")
-    data = {"test_images": judged["test_digest"]}
-    if "calibration_digest" in judged:
-        data["calibration_images"] = judged["calibration_digest"]
+    data = {"test_images": record["test_digest"]}
+    if "calibration_digest" in record:
+        data["calibration_images"] = record["calibration_digest"]
     calibration = CalibrationReport.load(report_folder).calibration
-    inference = InferenceSettings(**judged["inference"])
+    inference = InferenceSettings(**record["inference"])
     return write_frozen_ensemble(list(members), inference, calibration, golden_rgb, pathlib.Path(parent), data)
 
 
-def _predicted(
-    ensemble: Ensemble, hands: LabeledImageSet, folder: pathlib.Path, progress: Progress
+def predict_images(
+    ensemble: Ensemble, images: LabeledImageSet, folder: str | pathlib.Path, progress: Progress = silent
+) -> MemberPredictions:
+    """Predict every image once with all members, and store the predictions in ``folder``."""
+    load = _image_loader(images)
+    ids = [item.id for item in images.items]
+    return MemberPredictions.write(folder, ids, lambda image_id: ensemble.member_p_occupied(load(image_id)), progress)
+
+
+def read_labels(images: LabeledImageSet) -> list[NDArray[np.bool_]]:
+    """Read the (H, W) labels of all images."""
+    return [images.read(index)[1].astype(bool) for index in range(len(images))]
+
+
+def _labeled_predictions(
+    ensemble: Ensemble, images: LabeledImageSet, folder: pathlib.Path, progress: Progress
 ) -> LabeledPredictions:
-    position = {item.id: index for index, item in enumerate(hands.items)}
-    predictions = MemberPredictions.write(
-        folder,
-        list(position),
-        lambda image_id: ensemble.member_p_occupied(hands.read(position[image_id])[0]),
-        progress,
-    )
-    labels = [hands.read(index)[1].astype(bool) for index in range(len(hands))]
-    return LabeledPredictions(list(position), labels, predictions)
+    predictions = predict_images(ensemble, images, folder, progress)
+    return LabeledPredictions(predictions.image_ids, read_labels(images), predictions)
+
+
+def _image_loader(images: LabeledImageSet) -> Callable[[str], NDArray[np.uint8]]:
+    position = {item.id: index for index, item in enumerate(images.items)}
+    return lambda image_id: images.read(position[image_id])[0]
+
+
+def _weights(members: Sequence[Member]) -> list[str]:
+    return [member.record["weights_sha256"] for member in members]

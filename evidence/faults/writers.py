@@ -14,6 +14,7 @@ from deltasafe.execution import Execution
 from deltasafe.interchange.executions import export_execution, import_execution
 from deltasafe.perception.artifact.frozen_ensemble import verify_artifact, write_frozen_ensemble
 from deltasafe.perception.calibration.evaluation import evaluate
+from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
 from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
 from deltasafe.perception.calibration.write_report import write_calibration_report
 from deltasafe.perception.data.augmented_set import AugmentedSet
@@ -149,11 +150,12 @@ def _report_writer() -> Writer:
         np.clip(label / 255 * 0.8 + 0.1 + rng.normal(0, 0.05, (2, 48, 64)), 0.01, 0.99).astype(np.float32)
         for label in labels
     ]
-    made = evaluate([f"image_{n}" for n in range(4)], labels, predictions, CalibrationSettings(n_bootstrap=100))
+    images = LabeledPredictions([f"image_{n}" for n in range(4)], labels, predictions)
+    made = evaluate(images, CalibrationSettings(n_bootstrap=100))
 
     def write(home: pathlib.Path, number: int, commit: Commit) -> None:
         named = dataclasses.replace(made, image_ids=tuple(f"{number}_{n}" for n in range(4)))
-        write_calibration_report(home / "report", named, labels=labels, predictions=predictions)
+        write_calibration_report(home / "report", named, dataclasses.replace(images, image_ids=named.image_ids))
         commit(number)
 
     def read(home: pathlib.Path) -> int:

@@ -1,6 +1,6 @@
-"""`make study`: Tables I to III, Fig. 4 and the ablation; hours on two cores, in pieces as small as one likes.
+"""`make study`: Tables I to III, Fig. 4 and the ablation. Takes hours on two cores.
 
-Whatever is interrupted goes on where it was, whatever is finished is found, also by the assets in Dagster.
+An interrupted run is resumed, and finished work is reused, by this command and by the assets in Dagster.
 """
 
 import argparse
@@ -23,29 +23,30 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-_FEW_STEPS = 20
+_PRINT_EVERY_S = 15.0
+_MIN_STEPS_FOR_ESTIMATE = 20
 
 
 def main() -> int:
-    """Work on the cells that are asked for, then report on all that are finished; 0 if none is missing."""
+    """Evaluate the selected cells and report on all finished cells; exit status 0 if no cell is missing."""
     names = [cell.name for cell in presets.active().study.cells()]
     parser = argparse.ArgumentParser(prog="python -m pipelines.commands.perception_study", description=__doc__)
     parser.add_argument("--cells", nargs="*", default=names, metavar="CELL", help=f"of {', '.join(names)}")
-    parser.add_argument("--home", type=pathlib.Path, help="where everything is kept ($DELTASAFE_HOME)")
+    parser.add_argument("--home", type=pathlib.Path, help="folder of all results ($DELTASAFE_HOME)")
     parser.add_argument("--record", type=pathlib.Path, help="also write the figures to this file (docs/results/...)")
-    parser.add_argument("--workers", type=int, default=0, help="processes; 0 is one a core")
+    parser.add_argument("--workers", type=int, default=0, help="processes; 0: one per core")
     options = parser.parse_args()
     if unknown := sorted(set(options.cells) - set(names)):
         parser.error(f"no such cells: {', '.join(unknown)}; there are {', '.join(names)}")
     root = (options.home or home()).expanduser().resolve()
     study = open_packaged(root, options.workers)
-    print(f"Everything that is made goes to {study.store.home}", flush=True)
+    print(f"Results are written to {study.home}", flush=True)
     chosen = [cell for cell in study.settings.cells() if cell.name in options.cells]
-    watch = _Watch(study, chosen)
+    progress = _ProgressPrinter(study, chosen)
     for cell in chosen:
-        watch.begin(cell)
-        study.judge(cell, watch.step, watch.say)
-        watch.end(cell)
+        progress.begin(cell)
+        study.evaluate(cell, progress.on_step, progress.on_progress)
+        progress.end(cell)
         report(study, root, options.record)
     reports = report(study, root, options.record)
     print(f"\nReport: {root / 'study-report' / 'report.md'}")
@@ -53,13 +54,13 @@ def main() -> int:
 
 
 def open_packaged(root: pathlib.Path, workers: int = 0) -> "Study":
-    """The study of the active preset on the packaged data, as the assets open it."""
+    """Open the study of the active preset on the packaged data, as the assets do."""
     hands = DATASETS / "hands"
     return open_study(CellConfig(workers=workers), hands / "train", hands / "test", Store(root, DATASETS))
 
 
 def report(study: "Study", root: pathlib.Path, record: pathlib.Path | None) -> "Reports":
-    """Write what is finished below ``root``, and to ``record`` with its pictures beside it."""
+    """Write the finished parts below ``root``, and to ``record`` with the pictures beside it."""
     from deltasafe.studies.perception.report import write_study
 
     reports = study.finished()
@@ -75,7 +76,7 @@ def report(study: "Study", root: pathlib.Path, record: pathlib.Path | None) -> "
 
 
 def write_record(path: pathlib.Path, study: "Study", reports: "Reports") -> None:
-    """Figures with what made them; those of others in the same file (benchmarks) stay as they are."""
+    """Write the figures with their command and seeds; figures of other commands in the same file are kept."""
     from deltasafe.studies.perception.report import study_values
     from deltasafe.studies.perception.tables import missing_cells
     from pipelines.commands.records import merge_part
@@ -92,51 +93,51 @@ def write_record(path: pathlib.Path, study: "Study", reports: "Reports") -> None
     )
 
 
-class _Watch:
-    """Tells in the terminal what is being done, and how long the rest will take at the speed so far."""
+class _ProgressPrinter:
+    """Prints the current step, and the remaining time estimated from the speed so far."""
 
     def __init__(self, study: "Study", cells: "list[Cell]") -> None:
-        self.left = {cell.name: study.steps_left(cell) for cell in cells}
-        self.seen: dict[str, int] = {}
-        self.n_done, self.began_s, self.spoke_s = 0, 0.0, 0.0
+        self.steps_left = {cell.name: study.steps_left(cell) for cell in cells}
+        self.last_step: dict[str, int] = {}
+        self.n_done, self.first_step_s, self.printed_s = 0, 0.0, 0.0
         self.cell = ""
 
     def begin(self, cell: "Cell") -> None:
-        self.cell, self.seen = cell.name, {}
-        print(f"{_now()}  {cell.name}: {cell.n_members} members, {self.left[cell.name]} steps to go", flush=True)
+        self.cell, self.last_step = cell.name, {}
+        self._print(f"{cell.n_members} members, {self.steps_left[cell.name]} steps left")
 
     def end(self, cell: "Cell") -> None:
-        self.left[cell.name] = 0
-        print(f"{_now()}  {cell.name}: done", flush=True)
+        self.steps_left[cell.name] = 0
+        self._print("finished")
 
-    def step(self, name: str, step: "StepReport") -> None:
+    def on_step(self, name: str, step: "StepReport") -> None:
         if not self.n_done:
-            self.began_s = time.monotonic()
-        # a training that goes on from its checkpoint begins beyond its first step
-        before = self.seen.get(name, step.step - 1)
-        self.left[self.cell] -= step.step - self.seen.get(name, 0)
-        self.seen[name] = step.step
-        self.n_done += step.step - before
+            self.first_step_s = time.monotonic()
+        # the first report of a resumed training has a step above 1
+        self.n_done += step.step - self.last_step.get(name, step.step - 1)
+        self.steps_left[self.cell] -= step.step - self.last_step.get(name, 0)
+        self.last_step[name] = step.step
         text = f"{name} step {step.step} of {step.n_steps}, loss {step.loss:.3f}, {step.images_per_s:.1f} images/s"
-        self._every(15.0, f"{text}; {self._remaining()}")
+        self._print_rarely(f"{text}; {self._remaining()}")
 
-    def say(self, done: int, total: int, message: str) -> None:
-        self._every(15.0, f"{message} ({done} of {total})")
+    def on_progress(self, done: int, total: int, message: str) -> None:
+        self._print_rarely(f"{message} ({done} of {total})")
 
     def _remaining(self) -> str:
-        if self.n_done < _FEW_STEPS:
-            return f"{sum(self.left.values())} steps in all cells"
-        left_s = sum(self.left.values()) * (time.monotonic() - self.began_s) / self.n_done
-        return f"all cells in about {left_s / 3600:.0f} h {left_s % 3600 / 60:.0f} min"
+        n_left = sum(self.steps_left.values())
+        if self.n_done < _MIN_STEPS_FOR_ESTIMATE:
+            return f"{n_left} steps left in all cells"
+        left_s = n_left * (time.monotonic() - self.first_step_s) / self.n_done
+        hours, minutes = divmod(round(left_s / 60), 60)
+        return f"about {hours} h {minutes} min left for all cells"
 
-    def _every(self, interval_s: float, text: str) -> None:
-        if time.monotonic() - self.spoke_s >= interval_s:
-            self.spoke_s = time.monotonic()
-            print(f"{_now()}  {self.cell}: {text}", flush=True)
+    def _print_rarely(self, text: str) -> None:
+        if time.monotonic() - self.printed_s >= _PRINT_EVERY_S:
+            self.printed_s = time.monotonic()
+            self._print(text)
 
-
-def _now() -> str:
-    return time.strftime("%H:%M:%S")
+    def _print(self, text: str) -> None:
+        print(f"{time.strftime('%H:%M:%S')}  {self.cell}: {text}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The studies through Dagster: a cell for real, then tables that name what is missing; the command line finds it."""
+"""The study in Dagster: one cell is trained, the tables name the missing cells, the command line reuses the cell."""
 
 import functools
 import json
@@ -26,7 +26,7 @@ ROOT = pathlib.Path(__file__).parents[2]
 STUDY = PRESETS["smoke"].study
 
 
-class Noted:
+class RecordingTracker:
     def __init__(self):
         self.figures = {}
 
@@ -50,7 +50,7 @@ def test_partitions_are_the_cells_in_the_order_of_work():
     assert cells.get_partition_keys() == [cell.name for cell in STUDY.cells()]
 
 
-def test_a_cell_is_made_and_found_and_the_tables_say_what_is_missing(few_hands, monkeypatch):
+def test_cell_is_trained_once_and_tables_name_the_missing_cells(few_hands, monkeypatch):
     from deltasafe.perception.data.augmented_set import AugmentedSet
     from deltasafe.perception.training.train_member import train_member
     from deltasafe.studies.perception import study as module
@@ -74,7 +74,7 @@ def test_a_cell_is_made_and_found_and_the_tables_say_what_is_missing(few_hands, 
     def test_hands():
         return few_hands / "test"
 
-    home, tracker = few_hands / "home", Noted()
+    home, tracker = few_hands / "home", RecordingTracker()
     store = Store(home, ROOT / "datasets")
     resources = {"io_manager": FolderPointers(home=str(home)), "store": store, "tracker": tracker, "executor": LOCAL}
     small = CellConfig(
@@ -106,7 +106,7 @@ def test_a_cell_is_made_and_found_and_the_tables_say_what_is_missing(few_hands, 
         shown = dg.materialize(
             [*sources, study_cell, *tables], selection=tables, resources=resources, instance=instance
         )
-    assert trained == ["cutout-50/0", "cutout-50/1"], "the second run finds them"
+    assert trained == ["cutout-50/0", "cutout-50/1"], "the second run reuses them"
     assert len(tracker.figures) == 1
     texts = {
         t.key.path[0]: shown.asset_materializations_for_node(t.key.path[0])[0].metadata["report"].value for t in tables
@@ -126,7 +126,7 @@ def test_a_cell_is_made_and_found_and_the_tables_say_what_is_missing(few_hands, 
     arguments = ["study", "--cells", "cutout-50", "--home", str(home), "--record", str(record)]
     monkeypatch.setattr("sys.argv", arguments)
     assert command.main() == 1, "cells are missing"
-    assert len(trained) == 2, "the command line finds what the assets have made"
+    assert len(trained) == 2, "the command line reuses the members of the assets"
     written = json.loads(record.read_text())
     assert written["figures"]["training_ratio"] == 1.7
     assert "gone" not in written["figures"]

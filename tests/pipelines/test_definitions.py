@@ -102,12 +102,13 @@ def test_a_failed_gate_keeps_the_ensemble_from_being_frozen(tmp_path):
 
     from assets.checks import may_be_frozen
     from deltasafe.perception.calibration.evaluation import evaluate
+    from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
     from deltasafe.perception.calibration.write_report import write_calibration_report
 
     masks = [np.eye(16, dtype=bool), ~np.eye(16, dtype=bool)]
     wrong = [np.where(mask, 0.01, 0.99)[None].astype(np.float32) for mask in masks]
-    report = evaluate(["a", "b"], masks, wrong)
-    write_calibration_report(tmp_path / "report", report, labels=masks, predictions=wrong)
+    images = LabeledPredictions(["a", "b"], masks, wrong)
+    write_calibration_report(tmp_path / "report", evaluate(images), images)
 
     class Returns(dg.ConfigurableIOManager):
         def handle_output(self, context, obj):

@@ -1,4 +1,4 @@
-"""Sums over the pixels of each image, from which every figure of a calibration report follows."""
+"""Accumulators: sums over the pixels of each image, from which all figures of a calibration report are computed."""
 
 import dataclasses
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.perception.calibration.calibration_error import calibration_errors, margin_counts
-from deltasafe.perception.calibration.conformal_risk import THRESHOLD_GRID, missed_hand_shares
+from deltasafe.perception.calibration.conformal_risk import THRESHOLD_GRID, missed_fractions
 from deltasafe.perception.calibration.metrics import (
     ImageScores,
     bootstrap_scores,
@@ -18,53 +18,55 @@ from deltasafe.perception.calibration.reliability import (
     BinCounts,
     class_counts,
     confidence_counts,
-    curve,
+    reliability_curve,
     safety_counts,
     stack_counts,
 )
-from deltasafe.perception.calibration.report import Predictor
+from deltasafe.perception.calibration.report import PredictorResult
 from deltasafe.perception.calibration.temperature import LogitCounts, logit_counts
 
-__all__ = ["FitTally", "Tally", "WholeTally"]
+__all__ = ["EnsembleAccumulator", "FitAccumulator", "PredictorAccumulator"]
 
 
 @dataclasses.dataclass
-class Tally:
-    """Sums of one predictor, image by image."""
+class PredictorAccumulator:
+    """Scores and counts of one predictor; every list has one entry per image."""
 
     scores: list[ImageScores] = dataclasses.field(default_factory=list)
     confidence: list[BinCounts] = dataclasses.field(default_factory=list)
     margins: list[BinCounts] = dataclasses.field(default_factory=list)
 
-    def add(self, p_occupied: NDArray[np.floating], label: NDArray[np.bool_]) -> None:
+    def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
+        """Add one image, both arguments (H, W)."""
         self.scores.append(score_image(p_occupied, label))
         self.confidence.append(confidence_counts(p_occupied, label))
         self.margins.append(margin_counts(p_occupied, label))
 
-    def result(self, weights: NDArray[np.int64], level: float) -> Predictor:
+    def result(self, weights: NDArray[np.int64], level: float) -> PredictorResult:
+        """Pool the images; intervals of coverage ``level`` come from (R, N) bootstrap weights."""
         counts = stack_counts(self.confidence)
         low, high = percentile_interval(bootstrap_scores(self.scores, weights), level)
-        return Predictor(
+        return PredictorResult(
             images=tuple(self.scores),
             scores=pool_scores(self.scores),
             low=low,
             high=high,
             errors=calibration_errors(counts, stack_counts(self.margins), weights, level),
-            reliability=curve(counts, weights, level),
+            reliability=reliability_curve(counts, weights, level),
         )
 
 
 @dataclasses.dataclass
-class WholeTally:
-    """Sums of the whole ensemble, image by image."""
+class EnsembleAccumulator(PredictorAccumulator):
+    """The counts of a predictor, and those that only the whole ensemble needs."""
 
-    tally: Tally = dataclasses.field(default_factory=Tally)
     hand: list[BinCounts] = dataclasses.field(default_factory=list)
     background: list[BinCounts] = dataclasses.field(default_factory=list)
     safety: list[BinCounts] = dataclasses.field(default_factory=list)
 
     def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
-        self.tally.add(p_occupied, label)
+        """Add one image, both arguments (H, W)."""
+        super().add(p_occupied, label)
         hand, background = class_counts(p_occupied, label)
         self.hand.append(hand)
         self.background.append(background)
@@ -72,21 +74,22 @@ class WholeTally:
 
 
 @dataclasses.dataclass
-class FitTally:
-    """What is fitted on, image by image: the mean of the members as it is."""
+class FitAccumulator:
+    """Counts of the uncalibrated ensemble that temperature, delta and conformal threshold are fitted on."""
 
     logits: list[LogitCounts] = dataclasses.field(default_factory=list)
     safety: list[BinCounts] = dataclasses.field(default_factory=list)
-    shares: list[NDArray[np.float64]] = dataclasses.field(default_factory=list)
+    missed: list[NDArray[np.float64]] = dataclasses.field(default_factory=list)
 
     def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
+        """Add one image, both arguments (H, W)."""
         self.logits.append(logit_counts(p_occupied, label))
         self.safety.append(safety_counts(p_occupied, label))
-        shares = missed_hand_shares(p_occupied, label)
-        if shares is not None:
-            self.shares.append(shares)
+        missed = missed_fractions(p_occupied, label)
+        if missed is not None:
+            self.missed.append(missed)
 
     @property
-    def missed_shares(self) -> NDArray[np.float64]:
-        """(n, K) of the images with a hand."""
-        return np.reshape(self.shares, (-1, len(THRESHOLD_GRID)))
+    def losses(self) -> NDArray[np.float64]:
+        """(n, K) `missed_fractions` of the n images with a hand."""
+        return np.reshape(self.missed, (-1, len(THRESHOLD_GRID)))

@@ -1,18 +1,18 @@
-"""How much of a hand may a planner drive through? Conformal risk control (Angelopoulos et al. 2022).
+"""Conformal risk control: bound the missed fraction of a hand in a new image (Angelopoulos et al. 2022).
 
-A pixel counts as free when ``p_occupied <= threshold``. An image's loss is the share of its hand pixels that count as
-free: it lies in [0, 1] and never falls as the threshold rises. The largest threshold with
+A pixel counts as free if ``p_occupied <= threshold``. The loss of an image is the fraction of its hand pixels that
+count as free. It lies in [0, 1] and is non-decreasing in the threshold. For the largest threshold with
 
     n / (n + 1) * (mean loss of n images) + 1 / (n + 1)  <=  alpha
 
-has an expected loss of at most alpha in one further image, whatever the network and the images, as long as that image
-is exchangeable with the n (theorem 1 there). The expectation is over the n images as well: it is a mean over images
-and over repetitions, no bound for each image. ``alpha`` is chosen before the images are looked at. Since the further
-image may be missed entirely, n images certify nothing below 1 / (n + 1), however good the network is.
+the expected loss in one further image is at most alpha, for any network, if that image is exchangeable with the n
+images (theorem 1 of the source). The expectation is also over the n images, so this is no bound for each image.
+``alpha`` is chosen before the images are evaluated. The further image may be missed completely, therefore n images
+certify no alpha below 1 / (n + 1), however good the network is.
 
-An increasing function of p_occupied, such as a temperature, changes the threshold but not the pixels below it. The
-threshold is therefore fitted on the pooled probability as it is and carried through the temperature: the guarantee
-does not care where the temperature comes from.
+An increasing function of p_occupied, such as a temperature, changes the threshold but not the set of pixels below it.
+The threshold is therefore fitted on the uncalibrated probability and mapped through the temperature. The guarantee does
+not depend on how the temperature was fitted.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from deltasafe.errors import SettingsError
-from deltasafe.perception.calibration.metrics import require_label, require_p_occupied
+from deltasafe.perception.calibration.metrics import require_labeled_prediction
 
 __all__ = [
     "THRESHOLD_GRID",
@@ -30,23 +30,23 @@ __all__ = [
     "conformal_threshold",
     "control_risk",
     "leave_one_out_loss",
-    "missed_hand_shares",
+    "missed_fractions",
 ]
 
 THRESHOLD_GRID: NDArray[np.float64] = expit(np.arange(-1600, 1601) / 100)
-"""(3201,) thresholds that are tried, 1 % apart in odds, from 1e-7 to 1 - 1e-7. The theorem holds for any fixed grid."""
+"""(3201,) candidate thresholds, 1 % apart in odds, from 1e-7 to 1 - 1e-7. The theorem holds for any fixed grid."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RiskControl:
-    """A threshold and what it promises.
+    """A threshold and its guarantee.
 
     Attributes:
-        alpha: bound on the expected share of a hand's pixels with ``p_occupied <= threshold``.
+        alpha: bound on the expected fraction of a hand's pixels with ``p_occupied <= threshold``.
         n_images: images with a hand that the threshold was fitted on.
-        threshold: None if alpha is below 1 / (n + 1), or the hand is missed too often at any threshold.
-        held_out_mean: mean share on images that the threshold was not fitted on; None without one.
-        held_out_worst: the same, in the worst of them.
+        threshold: None if alpha is below 1 / (n + 1), or the loss is too large at every threshold.
+        held_out_mean: mean loss on images that the threshold was not fitted on; None without such images.
+        held_out_worst: largest loss on these images.
     """
 
     alpha: float
@@ -56,10 +56,14 @@ class RiskControl:
     held_out_worst: float | None
 
 
-def missed_hand_shares(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) -> NDArray[np.float64] | None:
-    """(K,) share of the hand's pixels with ``p_occupied <= THRESHOLD_GRID[k]`` in one image; None without a hand."""
-    occupied = require_label(label)
-    hand = require_p_occupied(p_occupied, occupied.shape)[occupied]
+def missed_fractions(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) -> NDArray[np.float64] | None:
+    """Compute the loss of one image at every threshold.
+
+    Returns:
+        (K,) fraction of the hand's pixels with ``p_occupied <= THRESHOLD_GRID[k]``; None without a hand.
+    """
+    p, occupied = require_labeled_prediction(p_occupied, label)
+    hand = p[occupied]
     if hand.size == 0:
         return None
     bins = np.searchsorted(THRESHOLD_GRID, hand, side="left")
@@ -68,53 +72,56 @@ def missed_hand_shares(p_occupied: NDArray[np.floating], label: NDArray[np.gener
 
 
 def conformal_threshold(losses: NDArray[np.float64], alpha: float) -> float | None:
-    """The largest threshold of the grid whose expected loss in a further image is at most ``alpha``.
+    """Find the largest threshold of the grid whose expected loss in a further image is at most ``alpha``.
 
     Args:
-        losses: (n, K) `missed_hand_shares` of n images.
-        alpha: target, chosen beforehand.
+        losses: (n, K) `missed_fractions` of n images.
+        alpha: target, chosen in advance.
 
     Returns:
-        None if no threshold of the grid will do, as always for alpha < 1 / (n + 1).
+        None if no threshold of the grid satisfies the bound, as always for alpha < 1 / (n + 1).
 
     Raises:
         SettingsError: alpha outside (0, 1).
     """
-    index = _largest(np.sum(losses, axis=0), len(losses), alpha)
+    index = _threshold_index(np.sum(losses, axis=0), len(losses), alpha)
     return None if index < 0 else float(THRESHOLD_GRID[index])
 
 
 def leave_one_out_loss(losses: NDArray[np.float64], alpha: float) -> NDArray[np.float64]:
-    """(n,) loss of each image at the threshold that the n - 1 others give; 0 where they give none.
+    """Evaluate each image at the threshold fitted on the n - 1 others.
 
-    Each is a draw of what the theorem is about, so that their mean should be at most alpha.
+    By the theorem the mean should be at most alpha.
+
+    Returns:
+        (n,) losses; 0 where the others give no threshold.
     """
     total = losses.sum(axis=0)
-    chosen = [_largest(total - loss, len(losses) - 1, alpha) for loss in losses]
+    chosen = [_threshold_index(total - loss, len(losses) - 1, alpha) for loss in losses]
     return np.array([loss[index] if index >= 0 else 0.0 for loss, index in zip(losses, chosen, strict=True)])
 
 
 def control_risk(losses: NDArray[np.float64], alpha: float, held_out: NDArray[np.float64] | None = None) -> RiskControl:
-    """Fit a threshold and show what became of it on images that it was not fitted on.
+    """Fit a threshold and evaluate it on images that it was not fitted on.
 
     Args:
         losses: (n, K) of the images to fit on.
         alpha: target.
-        held_out: (m, K) of further images; without them each of the n is judged by the threshold of the others.
+        held_out: (m, K) of further images. Without them, each of the n images is evaluated by leave-one-out.
     """
     threshold = conformal_threshold(losses, alpha)
-    seen = None
+    held_out_losses = None
     if threshold is not None and held_out is not None:
-        seen = held_out[:, int(np.searchsorted(THRESHOLD_GRID, threshold))]
+        held_out_losses = held_out[:, int(np.searchsorted(THRESHOLD_GRID, threshold))]
     elif held_out is None and alpha * len(losses) >= 1:
-        seen = leave_one_out_loss(losses, alpha)
-    if seen is None or len(seen) == 0:
+        held_out_losses = leave_one_out_loss(losses, alpha)
+    if held_out_losses is None or len(held_out_losses) == 0:
         return RiskControl(alpha, len(losses), threshold, None, None)
-    return RiskControl(alpha, len(losses), threshold, float(seen.mean()), float(seen.max()))
+    return RiskControl(alpha, len(losses), threshold, float(held_out_losses.mean()), float(held_out_losses.max()))
 
 
-def _largest(total: NDArray[np.float64], n_images: int, alpha: float) -> int:
-    """Index of the largest threshold at which ``total`` loss of n images is small enough; -1 without one."""
+def _threshold_index(total: NDArray[np.float64], n_images: int, alpha: float) -> int:
+    """Find the largest threshold that satisfies the bound, given the summed loss of n images; -1 without one."""
     if not 0.0 < alpha < 1.0:
         raise SettingsError(f"alpha must lie in (0, 1), got {alpha}")
     allowed = (total + 1.0) / (n_images + 1) <= alpha

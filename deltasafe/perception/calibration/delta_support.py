@@ -1,8 +1,7 @@
-"""Which delta do the test images support? (decision 5)
+"""Which delta do labeled images support? (decision 5)
 
-The planner takes a pixel for free when ``p_occupied <= delta`` and promises that it is occupied with a
-probability of at most delta. That promise is a statement about the network, and only labeled images can back
-it.
+The planner treats a pixel as free if ``p_occupied <= delta`` and promises that the probability of occupancy is at most
+delta. Only labeled images can show that the network keeps this promise.
 """
 
 import dataclasses
@@ -22,6 +21,7 @@ __all__ = [
     "Calibration",
     "DeltaSupport",
     "HeldOutDelta",
+    "cumulative_safety_counts",
     "delta_support",
     "held_out_support",
     "require_supported_delta",
@@ -31,25 +31,24 @@ __all__ = [
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """What an ensemble states about its own probabilities; stored with it as ``calibration.json``.
+    """Calibration of an ensemble as it is used; stored with it as ``calibration.json``.
 
-    The statement is about `Ensemble.p_occupied` as it is used: the mean of all members, recalibrated by
-    ``temperature``, on all pixels of images that neither the members nor the temperature they were judged with
-    have seen.
+    It refers to `Ensemble.p_occupied`: the mean of all members, calibrated by ``temperature``. The scores are over all
+    pixels of images that were used neither to train the members nor to fit the temperature they were evaluated with.
 
     Attributes:
         n_images: images on which the scores were measured.
         n_members: members of the ensemble.
         pixel_accuracy, miou, brier, nll: see `deltasafe.perception.calibration.metrics`.
-        expected_calibration_error: of the ten bins on [0.5, 1].
-        smallest_supported_delta: None if the data supports no delta at all.
+        expected_calibration_error: over ten equal bins of confidence on [0.5, 1].
+        smallest_supported_delta: None if the images support no delta.
         level: one-sided confidence of that support.
-        temperature: divides the logit of the mean; 1.0 leaves it as it is.
-        n_calibration_images: images that temperature, delta and threshold were fitted on; 0 in old files, in which
-            they are the ``n_images``.
-        missed_hand_alpha: bound on the expected share of a hand's pixels with ``p_occupied <=
+        temperature: divides the logit of the mean; 1.0 leaves the mean unchanged.
+        n_calibration_images: images that temperature, delta and threshold were fitted on. 0 in old files: there, they
+            were fitted on the ``n_images``.
+        missed_hand_alpha: bound on the expected fraction of a hand's pixels with ``p_occupied <=
             missed_hand_threshold`` in a new image (conformal risk control); None in old files.
-        missed_hand_threshold: None if so few images support no threshold.
+        missed_hand_threshold: None if there are too few images for a threshold.
     """
 
     n_images: int
@@ -81,10 +80,10 @@ class Calibration:
 
     @classmethod
     def load(cls, path: str | pathlib.Path) -> "Calibration":
-        """Read ``calibration.json``, also one of the first format, which knows no threshold.
+        """Read ``calibration.json``, including files without the later fields.
 
         Raises:
-            DataError: the file is missing or no calibration.
+            DataError: the file is missing or holds no calibration.
         """
         value = read_json(path)
         try:
@@ -98,94 +97,93 @@ class Calibration:
 
 @dataclasses.dataclass(frozen=True)
 class DeltaSupport:
-    """What the data says about one delta.
+    """Support of one delta by the images.
 
     Attributes:
         delta: the threshold.
-        clear_share: share of all pixels with p_occupied <= delta.
-        occupied_share: share of those that are occupied after all; None if there is no such pixel.
-        upper_bound: upper bound of that share (see `delta_support`).
-        missed_hand_rate_mean: share of an image's hand pixels with p_occupied <= delta, mean over images with
-            a hand.
-        missed_hand_rate_worst: the same, in the worst image.
-        supported: the bound is at most delta, here and at every larger delta of the grid.
+        free_fraction: fraction of all pixels with p_occupied <= delta.
+        occupied_fraction: fraction of those that are occupied; None without such pixels.
+        upper_bound: upper confidence bound of ``occupied_fraction`` (see `delta_support`).
+        miss_rate_mean: fraction of an image's hand pixels with p_occupied <= delta, mean over images with a hand.
+        miss_rate_worst: the same in the worst image.
+        supported: the bound is at most delta, for this and every larger delta of the grid.
     """
 
     delta: float
-    clear_share: float
-    occupied_share: float | None
+    free_fraction: float
+    occupied_fraction: float | None
     upper_bound: float
-    missed_hand_rate_mean: float | None
-    missed_hand_rate_worst: float | None
+    miss_rate_mean: float | None
+    miss_rate_worst: float | None
     supported: bool
 
 
 @dataclasses.dataclass(frozen=True)
 class HeldOutDelta:
-    """The smallest supported delta, fitted and judged on different images.
+    """The smallest supported delta, evaluated on images that it was not fitted on.
 
     Attributes:
-        n_fits: how often it was fitted.
+        n_fits: number of fits.
         n_without_delta: fits that supported no delta.
-        lowest, highest: range of the deltas fitted.
-        clear_share: share of all judged pixels that count as free at the delta of their fit.
-        occupied_share: share of those that are occupied; it should be at most delta.
+        lowest, highest: range of the fitted deltas.
+        free_fraction: fraction of all pixels that count as free at the delta of their fit.
+        occupied_fraction: fraction of those that are occupied; it should be at most delta.
     """
 
     n_fits: int
     n_without_delta: int
     lowest: float | None
     highest: float | None
-    clear_share: float
-    occupied_share: float | None
+    free_fraction: float
+    occupied_fraction: float | None
 
 
 def delta_support(
     counts: BinCounts, *, n_bootstrap: int = 2000, level: float = 0.95, seed: int = 0
 ) -> tuple[DeltaSupport, ...]:
-    """Judge every delta of ``DELTA_GRID``.
+    """Test every delta of ``DELTA_GRID`` for support.
 
-    The estimate is the share of occupied pixels among those with ``p_occupied <= delta``, pooled over the
-    images. Its upper bound is the ``level`` quantile of a bootstrap that draws whole images, since the pixels
-    of an image depend on one another and a Clopper-Pearson bound on pixels would claim the evidence of
-    millions of independent trials. A plain bootstrap, however, can only repeat what it has seen: without a
-    single miss it would support any delta. Therefore it draws from the N images and **one more, whose hand
-    the network misses entirely** (an image of mean size and mean hand area), because N images cannot exclude
-    that the next one is such a case. That is the idea of conformal risk control's "+ B / (N + 1)", and
-    without any miss it gives the rule of three: such an image occurs in up to 3 / (N + 1) of all cases at 95
-    %. With 50 images of which the hand covers a quarter, a delta below about 0.02 is therefore out of reach
-    however good the network is.
+    The estimate is the fraction of occupied pixels among those with ``p_occupied <= delta``, pooled over the images.
+    Its upper bound is the ``level`` quantile of a bootstrap over whole images. A Clopper-Pearson bound over pixels was
+    rejected: it would treat strongly correlated pixels as independent trials.
 
-    The bound is on average over the pixels that count as free, of which most lie far from any hand; the rows
-    of the safety diagram and the missed-hand rates show where it is worse than on average.
+    A plain bootstrap cannot produce misses that it has not observed: without a miss it would support any delta. The
+    bootstrap therefore draws from the N images and **one additional image whose hand is missed completely** (of mean
+    size and mean hand area), because N images cannot exclude that the next image is such a case. This corresponds to
+    "+ B / (N + 1)" in conformal risk control. Without any miss it gives the rule of three: at 95 %, such an image
+    occurs in up to 3 / (N + 1) of all cases. With 50 images in which the hand covers a quarter, a delta below about
+    0.02 is out of reach, however good the network is.
+
+    The bound is an average over the pixels that count as free, most of which are far from any hand. The safety diagram
+    and the miss rates per image show where the network is worse than this average.
 
     Args:
         counts: `safety_counts` of N images.
-        n_bootstrap: samples.
+        n_bootstrap: number of bootstrap samples.
         level: one-sided confidence.
         seed: of the bootstrap.
     """
-    clear, missed = _taken_for_free(counts)
+    free, missed = cumulative_safety_counts(counts)
     pixels, hand = counts.count.sum(axis=1), counts.event.sum(axis=1)
-    # the one more image
-    clear_drawn = np.vstack([clear, np.full((1, len(DELTA_GRID)), pixels.mean())])
-    missed_drawn = np.vstack([missed, np.full((1, len(DELTA_GRID)), hand.mean())])
+    # the additional image
+    free_samples = np.vstack([free, np.full((1, len(DELTA_GRID)), pixels.mean())])
+    missed_samples = np.vstack([missed, np.full((1, len(DELTA_GRID)), hand.mean())])
     weights = bootstrap_weights(len(pixels) + 1, n_bootstrap, seed).astype(np.float64)
-    # a sample without any clear pixel says nothing in favor of delta
-    drawn = np.nan_to_num(ratio(weights @ missed_drawn, weights @ clear_drawn), nan=1.0)
-    bound = np.quantile(drawn, level, axis=0, method="higher")
-    rate = missed[hand > 0] / hand[hand > 0, None]
-    share = ratio(missed.sum(axis=0), clear.sum(axis=0))
+    # a sample without free pixels is no evidence for delta
+    samples = np.nan_to_num(ratio(weights @ missed_samples, weights @ free_samples), nan=1.0)
+    bound = np.quantile(samples, level, axis=0, method="higher")
+    miss_rate = missed[hand > 0] / hand[hand > 0, None]
+    occupied = ratio(missed.sum(axis=0), free.sum(axis=0))
     holds = bound <= np.array(DELTA_GRID)
     supported = np.logical_and.accumulate(holds[::-1])[::-1]
     return tuple(
         DeltaSupport(
             delta=delta,
-            clear_share=float(clear[:, k].sum() / pixels.sum()),
-            occupied_share=None if np.isnan(share[k]) else float(share[k]),
+            free_fraction=float(free[:, k].sum() / pixels.sum()),
+            occupied_fraction=None if np.isnan(occupied[k]) else float(occupied[k]),
             upper_bound=float(bound[k]),
-            missed_hand_rate_mean=float(rate[:, k].mean()) if len(rate) else None,
-            missed_hand_rate_worst=float(rate[:, k].max()) if len(rate) else None,
+            miss_rate_mean=float(miss_rate[:, k].mean()) if len(miss_rate) else None,
+            miss_rate_worst=float(miss_rate[:, k].max()) if len(miss_rate) else None,
             supported=bool(supported[k]),
         )
         for k, delta in enumerate(DELTA_GRID)
@@ -195,48 +193,55 @@ def delta_support(
 def held_out_support(
     counts: BinCounts,
     fits: Sequence[BinCounts],
-    judged: Sequence[NDArray[np.intp]],
+    held_out: Sequence[NDArray[np.intp]],
     *,
     n_bootstrap: int = 2000,
     level: float = 0.95,
     seed: int = 0,
 ) -> HeldOutDelta:
-    """What becomes of the smallest supported delta on images that it was not fitted on.
+    """Evaluate the smallest supported delta on images that it was not fitted on.
 
     Args:
-        counts: `safety_counts` of N images, drawn upon by ``judged``.
-        fits: images to fit on, once or fold by fold.
-        judged: for each fit the indices into ``counts`` of the images that it has not seen.
+        counts: `safety_counts` of N images.
+        fits: counts of the images of each fit.
+        held_out: for each fit, the indices into ``counts`` of the images to evaluate it on.
         n_bootstrap, level, seed: of `delta_support`.
     """
-    clear, missed = _taken_for_free(counts)
+    free, missed = cumulative_safety_counts(counts)
     deltas: list[float] = []
-    n_clear = n_missed = 0
-    for fit, unseen in zip(fits, judged, strict=True):
+    n_free = n_missed = 0
+    for fit, images in zip(fits, held_out, strict=True):
         delta = smallest_supported_delta(delta_support(fit, n_bootstrap=n_bootstrap, level=level, seed=seed))
         if delta is not None:
             k = DELTA_GRID.index(delta)
             deltas.append(delta)
-            n_clear += int(clear[unseen, k].sum())
-            n_missed += int(missed[unseen, k].sum())
+            n_free += int(free[images, k].sum())
+            n_missed += int(missed[images, k].sum())
     return HeldOutDelta(
         n_fits=len(fits),
         n_without_delta=len(fits) - len(deltas),
         lowest=min(deltas, default=None),
         highest=max(deltas, default=None),
-        clear_share=n_clear / int(counts.count.sum()),
-        occupied_share=n_missed / n_clear if n_clear else None,
+        free_fraction=n_free / int(counts.count.sum()),
+        occupied_fraction=n_missed / n_free if n_free else None,
     )
 
 
-def _taken_for_free(counts: BinCounts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(N, len(DELTA_GRID)) pixels with p_occupied <= delta, and how many of them are occupied."""
-    clear = np.cumsum(counts.count, axis=1, dtype=np.float64)[:, :-1]
-    return clear, np.cumsum(counts.event, axis=1, dtype=np.float64)[:, :-1]
+def cumulative_safety_counts(counts: BinCounts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Count, per image and delta, the pixels with p_occupied <= delta and how many of them are occupied.
+
+    Args:
+        counts: `safety_counts` of N images.
+
+    Returns:
+        two arrays (N, len(DELTA_GRID)).
+    """
+    free = np.cumsum(counts.count, axis=1, dtype=np.float64)[:, :-1]
+    return free, np.cumsum(counts.event, axis=1, dtype=np.float64)[:, :-1]
 
 
 def smallest_supported_delta(support: tuple[DeltaSupport, ...]) -> float | None:
-    """The smallest delta of the grid that is supported together with all larger ones; None without one."""
+    """Return the smallest delta that is supported together with all larger ones; None without one."""
     return min((row.delta for row in support if row.supported), default=None)
 
 
@@ -244,7 +249,7 @@ def require_supported_delta(delta: float, calibration: Calibration) -> None:
     """Refuse to plan with a smaller delta than the ensemble's test images support.
 
     Raises:
-        SettingsError: naming ``delta``, the smallest supported one, and the remedy.
+        SettingsError: names ``delta``, the smallest supported delta, and the remedy.
     """
     if not 0.0 < delta < 1.0:
         raise SettingsError(f"delta must lie in (0, 1), got {delta}")

@@ -1,7 +1,7 @@
-"""What do more members bring? Table III of the paper, from a calibration report and beside the paper's figures.
+"""Scores over ensemble size: Table III of the paper, from a calibration report and with the paper's figures.
 
-An ensemble of size M is the mean of the first M members (T = 1), so that stored predictions of ten members hold
-all ten sizes: nothing is predicted twice.
+An ensemble of size M is the mean of the first M members (T = 1). The stored predictions of ten members therefore
+contain all ten sizes.
 """
 
 import dataclasses
@@ -12,22 +12,22 @@ from deltasafe.perception.calibration.metrics import Scores, bootstrap_scores, p
 from deltasafe.perception.calibration.paper_results import ENSEMBLE_SIZE_RESULTS
 from deltasafe.perception.calibration.reliability import bootstrap_weights
 from deltasafe.perception.calibration.report import CalibrationReport
-from deltasafe.reporting.markdown import table
+from deltasafe.reporting.templates import render
 
 __all__ = ["EnsembleSize", "ensemble_size_rows", "ensemble_size_table", "ensemble_size_values"]
 
 
 @dataclasses.dataclass(frozen=True)
 class EnsembleSize:
-    """The mean of the first M members (a column of Table III).
+    """Scores of the mean of the first M members (a column of Table III).
 
     Attributes:
         n_members: M.
         scores: PA, mIoU, BS and NLL over all images.
         low, high: their intervals, by bootstrap over images.
-        change_low, change_high: interval of the change against M = 1, by the same bootstrap, paired: both sizes
-            are judged on the same drawn images. The images differ far more from one another than the sizes do, so
-            that this interval, and not an overlap of the others, tells whether members help.
+        change_low, change_high: interval of the change against M = 1 by paired bootstrap, that is, both sizes on the
+            same samples of images. Scores vary more between images than between sizes. Whether members help is
+            therefore decided by this interval, not by the overlap of ``low`` and ``high``.
         paper_brier, paper_nll: Table III of the paper; None beyond M = 10.
     """
 
@@ -42,26 +42,22 @@ class EnsembleSize:
 
 
 def ensemble_size_rows(report: CalibrationReport) -> tuple[EnsembleSize, ...]:
-    """One row for each M = 1, 2, .., with the bootstrap samples that the report was computed with."""
+    """Compute one row for each M = 1, 2, .., with the bootstrap samples of the report."""
     settings = report.settings
     weights = bootstrap_weights(len(report.image_ids), settings.n_bootstrap, settings.seed)
-    drawn = np.array([bootstrap_scores(ensemble.images, weights) for ensemble in report.ensembles])
+    samples = np.array([bootstrap_scores(ensemble.images, weights) for ensemble in report.ensembles])
     rows = []
-    for m, (ensemble, change) in enumerate(zip(report.ensembles, drawn - drawn[0], strict=True), 1):
-        change_low, change_high = percentile_interval(change, settings.level)
-        paper_brier, paper_nll = ENSEMBLE_SIZE_RESULTS.get(m, (None, None))
-        rows.append(
-            EnsembleSize(
-                m, ensemble.scores, ensemble.low, ensemble.high, change_low, change_high, paper_brier, paper_nll
-            )
-        )
+    for m, (ensemble, change) in enumerate(zip(report.ensembles, samples - samples[0], strict=True), 1):
+        change_interval = percentile_interval(change, settings.level)
+        paper = ENSEMBLE_SIZE_RESULTS.get(m, (None, None))
+        rows.append(EnsembleSize(m, ensemble.scores, ensemble.low, ensemble.high, *change_interval, *paper))
     return tuple(rows)
 
 
 def ensemble_size_values(report: CalibrationReport) -> dict[str, float]:
-    """``bs_m5``, ``bs_m5_low``, ``bs_m5_high`` and so on for PA, mIoU, BS and NLL and every M, by short name.
+    """List PA, mIoU, BS and NLL of every M by short name: ``bs_m5``, ``bs_m5_low``, ``bs_m5_high``, ...
 
-    As in the paper, without a temperature; for the largest M also as the ensemble is used, ``bs_m10_as_used``.
+    As in the paper, without a temperature. For the largest M also as the ensemble is used: ``bs_m10_as_used``.
     """
     names = {"pa": "pixel_accuracy", "miou": "miou", "bs": "brier", "nll": "nll"}
     used, last = report.figures(), f"m{report.n_members}_as_used"
@@ -75,36 +71,32 @@ def ensemble_size_values(report: CalibrationReport) -> dict[str, float]:
 
 
 def ensemble_size_table(report: CalibrationReport) -> str:
-    """Table III as Markdown in the paper's units (BS x 10^3, NLL x 10^2), with intervals, beside the paper's."""
-    level = f"{report.settings.level:.0%} interval"
-    head = ("M", "BS x 10³", level, "Paper", "NLL x 10²", level, "Paper", "PA", "mIoU", "BS against M = 1", "NLL")
-    rows = []
-    for row in ensemble_size_rows(report):
-        rows.append(
-            (
-                f"{row.n_members}",
-                f"**{1e3 * row.scores.brier:.1f}**",
-                f"{1e3 * row.low.brier:.1f} to {1e3 * row.high.brier:.1f}",
-                "" if row.paper_brier is None else f"{1e3 * row.paper_brier:.1f}",
-                f"**{1e2 * row.scores.nll:.2f}**",
-                f"{1e2 * row.low.nll:.2f} to {1e2 * row.high.nll:.2f}",
-                "" if row.paper_nll is None else f"{1e2 * row.paper_nll:.1f}",
-                f"{row.scores.pixel_accuracy:.4f}",
-                f"{row.scores.miou:.4f}",
-                *(
-                    ("", "")
-                    if row.n_members == 1
-                    else (
-                        f"{1e3 * row.change_low.brier:+.1f} to {1e3 * row.change_high.brier:+.1f}",
-                        f"{1e2 * row.change_low.nll:+.2f} to {1e2 * row.change_high.nll:+.2f}",
-                    )
-                ),
-            )
-        )
-    used = report.figures()
-    note = (
-        f"All without a temperature, as in the paper. As it is used, with T = {used['temperature']:.3f} (each image "
-        f"judged by a fit on the others), the ensemble of {report.n_members} has BS x 10³ = {1e3 * used['bs']:.1f} "
-        f"and NLL x 10² = {1e2 * used['nll']:.2f}."
+    """Write Table III as Markdown in the paper's units (BS x 10^3, NLL x 10^2), with intervals and its values."""
+    return render(
+        "deltasafe.perception.calibration",
+        "ensemble_size.md.j2",
+        report=report,
+        used=report.figures(),
+        rows=[_cells(row) for row in ensemble_size_rows(report)],
     )
-    return f"{table(head, rows)}\n\n{note}"
+
+
+def _cells(row: EnsembleSize) -> tuple[str, ...]:
+    changes = ("", "")
+    if row.n_members > 1:
+        changes = (
+            f"{1e3 * row.change_low.brier:+.1f} to {1e3 * row.change_high.brier:+.1f}",
+            f"{1e2 * row.change_low.nll:+.2f} to {1e2 * row.change_high.nll:+.2f}",
+        )
+    return (
+        f"{row.n_members}",
+        f"**{1e3 * row.scores.brier:.1f}**",
+        f"{1e3 * row.low.brier:.1f} to {1e3 * row.high.brier:.1f}",
+        "" if row.paper_brier is None else f"{1e3 * row.paper_brier:.1f}",
+        f"**{1e2 * row.scores.nll:.2f}**",
+        f"{1e2 * row.low.nll:.2f} to {1e2 * row.high.nll:.2f}",
+        "" if row.paper_nll is None else f"{1e2 * row.paper_nll:.1f}",
+        f"{row.scores.pixel_accuracy:.4f}",
+        f"{row.scores.miou:.4f}",
+        *changes,
+    )

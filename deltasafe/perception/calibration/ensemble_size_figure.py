@@ -1,149 +1,124 @@
-"""Fig. 4 and Table III of the paper as pictures: reliability and scores of ensembles of growing size."""
-
-from collections.abc import Iterable, Sequence
+"""Fig. 4 and Table III of the paper as figures: reliability and scores of ensembles of growing size."""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
-from deltasafe.perception.calibration.ensemble_size import ensemble_size_rows
+from deltasafe.perception.calibration.curve_drawing import (
+    BLUE,
+    GRAY,
+    draw_band,
+    draw_curve,
+    draw_pixel_fractions,
+    observed,
+    size_color,
+)
+from deltasafe.perception.calibration.ensemble_size import EnsembleSize, ensemble_size_rows
 from deltasafe.perception.calibration.paper_results import (
     ENSEMBLE_SIZE_RESULTS,
     MEMBER_RELIABILITY_RESULTS,
     RELIABILITY_RESULTS,
 )
-from deltasafe.perception.calibration.reliability import CONFIDENCE_EDGES, Curve
+from deltasafe.perception.calibration.reliability import CONFIDENCE_EDGES
 from deltasafe.perception.calibration.report import CalibrationReport
+from deltasafe.reporting.panels import clean
 
 __all__ = ["ensemble_reliability_figure", "ensemble_size_figure"]
 
-_GRAY = "#8a8a8a"
-_COLORS = {2: "#C8102E", 5: "#009E73", 10: "#0072B2"}
 _N_MEMBERS_SHOWN = 5
 
 
 def ensemble_reliability_figure(report: CalibrationReport) -> Figure:
-    """Fig. 4: reliability of the means of the first M = 2, 5, 10 members and of the first five members alone.
+    """Draw Fig. 4: reliability of the means of the first 2, 5, 10 members, and of the first five members alone.
 
-    Left ours, right the paper's in the same colors and dashed, which also lies thinly behind ours. Bands are
-    intervals by bootstrap over images; the bars show how many pixels stand behind each point.
+    Left: this report, with the paper's curves of the same sizes dashed. Right: all curves of the paper. Bands are
+    intervals by bootstrap over images; the bars show the fraction of pixels in each bin.
     """
     figure = Figure(figsize=(11, 5.4), layout="constrained")
     grid = figure.add_gridspec(2, 2, height_ratios=[4, 1])
-    sizes = [m for m in _COLORS if m <= report.n_members] or [report.n_members]
+    sizes = [m for m in RELIABILITY_RESULTS if m <= report.n_members] or [report.n_members]
     ours = figure.add_subplot(grid[0, 0])
-    theirs = figure.add_subplot(grid[0, 1], sharex=ours, sharey=ours)
+    paper = figure.add_subplot(grid[0, 1], sharex=ours, sharey=ours)
     counts = figure.add_subplot(grid[1, 0], sharex=ours)
-    key = figure.add_subplot(grid[1, 1])
-    members = report.members[:_N_MEMBERS_SHOWN]
-    _diagonal(ours)
-    _diagonal(theirs)
-    for member in members:
-        ours.plot(*_points(member.reliability), color=_GRAY, lw=0.9)
-    for m in sizes:
-        curve, color = report.ensembles[m - 1].reliability, _COLORS.get(m, _COLORS[10])
-        x, low, high = _band(curve)
-        ours.fill_between(x, low, high, color=color, alpha=0.13, lw=0)
-        ours.plot(*_points(curve), "o-", color=color, lw=1.8, ms=3.5)
-    for confidence, accuracy in MEMBER_RELIABILITY_RESULTS:
-        theirs.plot(confidence, accuracy, "--", color=_GRAY, lw=0.9)
-    for m, (confidence, accuracy) in RELIABILITY_RESULTS.items():
-        theirs.plot(confidence, accuracy, "o--", color=_COLORS[m], lw=1.8, ms=3.5)
-        if m in sizes:
-            ours.plot(confidence, accuracy, "--", color=_COLORS[m], lw=0.9)
-    _draw_counts(counts, [report.ensembles[m - 1].reliability for m in sizes], sizes)
-    drawn = [value for m in sizes for value in _band(report.ensembles[m - 1].reliability)[1]]
-    alone = [value for member in members for value in _points(member.reliability)[1]]
-    paper = [value for _, accuracy in MEMBER_RELIABILITY_RESULTS for value in accuracy]
-    ours.set(xlim=(0.5, 1), ylim=(np.floor(min(*drawn, *alone, *paper) * 20) / 20, 1), ylabel="Accuracy")
-    ours.set_title(f"Ours, {len(report.image_ids)} test images", fontsize=11)
-    theirs.set_title("The paper's Fig. 4", fontsize=11)
-    for axes in (ours, theirs):
+    _draw_ours(ours, report, sizes)
+    _draw_paper(paper)
+    curves = [report.ensembles[m - 1].reliability for m in sizes]
+    draw_pixel_fractions(counts, np.array(CONFIDENCE_EDGES), [c.count for c in curves], [size_color(m) for m in sizes])
+    for axes in (ours, paper):
+        axes.plot([0.5, 1], [0.5, 1], color="black", ls=":", lw=1, zorder=1)
         axes.set_xlabel("Confidence")
-    shown = sorted({*sizes, *RELIABILITY_RESULTS})
-    handles = [Line2D([], [], color=_COLORS.get(m, _COLORS[10]), lw=1.8, label=f"$M = {m}$") for m in shown]
-    handles += [
-        Line2D([], [], color=_GRAY, lw=0.9, label=f"Single members ({len(members)})"),
-        Line2D([], [], color="black", ls=":", lw=1, label="Ideal"),
-        Line2D([], [], color="#555555", ls="--", lw=0.9, label="The paper's"),
-    ]
-    key.legend(handles=handles, frameon=False, loc="center", ncols=3)
-    key.set_axis_off()
-    for axes in (ours, theirs, counts):
-        _clean(axes)
+    for axes in (ours, paper, counts):
+        clean(axes)
+    _draw_key(figure.add_subplot(grid[1, 1]), report, sizes)
     return figure
 
 
 def ensemble_size_figure(report: CalibrationReport) -> Figure:
-    """Table III: BS and NLL of the mean of the first M members with their intervals, beside the paper's."""
+    """Draw Table III: BS and NLL of the mean of the first M members with their intervals, and the paper's values."""
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     rows = ensemble_size_rows(report)
-    sizes = [row.n_members for row in rows]
-    paper = [m for m in ENSEMBLE_SIZE_RESULTS if m <= max(report.n_members, 2)]
     for column, (name, label) in enumerate((("brier", "Brier score"), ("nll", "NLL [nats]"))):
         axes = figure.add_subplot(1, 2, column + 1)
-        low, high = np.transpose([(getattr(row.low, name), getattr(row.high, name)) for row in rows])
-        members = [getattr(member.scores, name) for member in report.members]
-        axes.fill_between(sizes, low, high, color=_COLORS[10], alpha=0.13, lw=0)
-        axes.plot(np.ones(len(members)), members, "o", color=_GRAY, alpha=0.7, ms=5, label="each member alone")
-        axes.plot(
-            sizes,
-            [getattr(row.scores, name) for row in rows],
-            "o-",
-            color=_COLORS[10],
-            label=f"mean of the first $M$ members, {report.settings.level:.0%} interval",
-        )
-        axes.plot(
-            paper,
-            [ENSEMBLE_SIZE_RESULTS[m][column] for m in paper],
-            "s--",
-            color="black",
-            ms=3,
-            lw=0.9,
-            label="paper, Table III",
-        )
+        _draw_score(axes, report, rows, name)
+        sizes = [m for m in ENSEMBLE_SIZE_RESULTS if m <= max(report.n_members, 2)]
+        values = [ENSEMBLE_SIZE_RESULTS[m][column] for m in sizes]
+        axes.plot(sizes, values, "s--", color="black", ms=3, lw=0.9, label="paper, Table III")
         axes.set(xlabel="Ensemble size $M$", ylabel=label)
         axes.set_ylim(bottom=0)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        _clean(axes)
+        clean(axes)
         axes.legend(frameon=False, fontsize=9)
     return figure
 
 
-def _diagonal(axes: Axes) -> None:
-    axes.plot([0.5, 1], [0.5, 1], color="black", ls=":", lw=1, zorder=1)
+def _draw_ours(axes: Axes, report: CalibrationReport, sizes: list[int]) -> None:
+    members = [member.reliability for member in report.members[:_N_MEMBERS_SHOWN]]
+    lowest = [value for _, accuracy in MEMBER_RELIABILITY_RESULTS for value in accuracy]
+    for curve in members:
+        draw_curve(axes, curve, color=GRAY, lw=0.9)
+        lowest += observed(curve)
+    for m in sizes:
+        curve, color = report.ensembles[m - 1].reliability, size_color(m)
+        draw_band(axes, curve, color)
+        draw_curve(axes, curve, "o-", color=color, lw=1.8, ms=3.5)
+        lowest += [value for value in curve.low if value is not None]
+        if m in RELIABILITY_RESULTS:
+            axes.plot(*RELIABILITY_RESULTS[m], "--", color=color, lw=0.9)
+    axes.set(xlim=(0.5, 1), ylim=(np.floor(min(lowest) * 20) / 20, 1), ylabel="Accuracy")
+    axes.set_title(f"Ours, {len(report.image_ids)} test images", fontsize=11)
 
 
-def _draw_counts(axes: Axes, curves: Sequence[Curve], sizes: Sequence[int]) -> None:
-    edges = np.array(CONFIDENCE_EDGES)
-    width = np.diff(edges) * 0.84 / len(sizes)
-    smallest = 1.0
-    for index, (m, curve) in enumerate(zip(sizes, curves, strict=True)):
-        share = np.array(curve.count) / sum(curve.count)
-        left = edges[:-1] + np.diff(edges) * 0.08 + index * width
-        axes.bar(left, share, width=width, align="edge", color=_COLORS.get(m, _COLORS[10]), alpha=0.7)
-        smallest = min(smallest, share[share > 0].min())
-    axes.set(yscale="log", ylabel="Pixels")
-    axes.set_ylim(10.0 ** np.floor(np.log10(smallest)) / 2, 2)
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g}%"))
-    axes.tick_params(axis="y", labelsize=8)
+def _draw_paper(axes: Axes) -> None:
+    for confidence, accuracy in MEMBER_RELIABILITY_RESULTS:
+        axes.plot(confidence, accuracy, "--", color=GRAY, lw=0.9)
+    for m, (confidence, accuracy) in RELIABILITY_RESULTS.items():
+        axes.plot(confidence, accuracy, "o--", color=size_color(m), lw=1.8, ms=3.5)
+    axes.set_title("The paper's Fig. 4", fontsize=11)
 
 
-def _points(curve: Curve) -> tuple[list[float], list[float]]:
-    return _filled(curve.stated), _filled(curve.observed)
+def _draw_key(axes: Axes, report: CalibrationReport, sizes: list[int]) -> None:
+    shown = sorted({*sizes, *RELIABILITY_RESULTS})
+    n_members = min(report.n_members, _N_MEMBERS_SHOWN)
+    handles = [Line2D([], [], color=size_color(m), lw=1.8, label=f"$M = {m}$") for m in shown]
+    handles += [
+        Line2D([], [], color=GRAY, lw=0.9, label=f"Single members ({n_members})"),
+        Line2D([], [], color="black", ls=":", lw=1, label="Ideal"),
+        Line2D([], [], color="#555555", ls="--", lw=0.9, label="The paper's"),
+    ]
+    axes.legend(handles=handles, frameon=False, loc="center", ncols=3)
+    axes.set_axis_off()
 
 
-def _band(curve: Curve) -> tuple[list[float], list[float], list[float]]:
-    return _filled(curve.stated), _filled(curve.low), _filled(curve.high)
-
-
-def _filled(values: Iterable[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
-
-
-def _clean(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(True, which="major", color="#e6e6e6", lw=0.6)
-    axes.set_axisbelow(True)
+def _draw_score(axes: Axes, report: CalibrationReport, rows: tuple[EnsembleSize, ...], name: str) -> None:
+    sizes = [row.n_members for row in rows]
+    low, value, high = (
+        [getattr(scores, name) for scores in column]
+        for column in zip(*((row.low, row.scores, row.high) for row in rows), strict=True)
+    )
+    members = [getattr(member.scores, name) for member in report.members]
+    label = f"mean of the first $M$ members, {report.settings.level:.0%} interval"
+    axes.fill_between(sizes, low, high, color=BLUE, alpha=0.15, lw=0)
+    axes.plot(np.ones(len(members)), members, "o", color=GRAY, alpha=0.7, ms=5, label="each member alone")
+    axes.plot(sizes, value, "o-", color=BLUE, label=label)

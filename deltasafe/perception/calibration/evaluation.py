@@ -1,14 +1,16 @@
-"""From the members' predictions on labeled images to a calibration report.
+"""Compute a calibration report from the members' predictions on labeled images.
 
-Images are visited one after another; every figure is computed from sums per image, so that memory does not
-grow with their pixels, and intervals come from drawing images.
+Images are processed one at a time, and every figure is computed from sums per image. Memory does not grow with the
+number of pixels, and intervals come from a bootstrap over images.
 
-What is fitted (temperature, smallest supported delta, conformal threshold) is judged on images that the fit has not
-seen: on the test images if there are calibration images beside them, otherwise fold by fold (cross-fitting).
+Temperature, smallest supported delta and conformal threshold are evaluated on images that they were not fitted on: on
+the test images if there is a separate calibration set, otherwise by cross-fitting (decision 32).
 """
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,15 +18,20 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import SettingsError
-from deltasafe.perception.calibration.accumulators import FitTally, Tally, WholeTally
+from deltasafe.perception.calibration.accumulators import EnsembleAccumulator, FitAccumulator, PredictorAccumulator
 from deltasafe.perception.calibration.conformal_risk import RiskControl, control_risk
-from deltasafe.perception.calibration.delta_support import HeldOutDelta, delta_support, held_out_support
+from deltasafe.perception.calibration.delta_support import (
+    HeldOutDelta,
+    cumulative_safety_counts,
+    delta_support,
+    held_out_support,
+)
 from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
 from deltasafe.perception.calibration.metrics import mean_and_sd
 from deltasafe.perception.calibration.reliability import (
     BinCounts,
     bootstrap_weights,
-    curve,
+    reliability_curve,
     safety_counts,
     stack_counts,
 )
@@ -34,6 +41,7 @@ from deltasafe.perception.calibration.temperature import (
     cross_fitted_temperatures,
     fit_temperature,
     folds_of,
+    pooled_probability,
     stack_logit_counts,
 )
 
@@ -43,146 +51,166 @@ _ALPHAS = (0.02, 0.03, 0.05, 0.1)
 
 
 def evaluate(
-    image_ids: Sequence[str],
-    labels: Sequence[NDArray[np.generic]],
-    predictions: Sequence[NDArray[np.floating]],
+    images: LabeledPredictions,
     settings: CalibrationSettings | None = None,
-    progress: Progress = silent,
     calibration: LabeledPredictions | None = None,
+    progress: Progress = silent,
 ) -> CalibrationReport:
-    """Judge an ensemble and its members on labeled images.
+    """Evaluate the members, the ensembles of growing size, and the calibrated ensemble on labeled images.
 
     Args:
-        image_ids, labels, predictions: of the images to judge on, see `LabeledPredictions`.
-        calibration: further images of the same members, to fit temperature, delta and threshold on; without them
-            each fold of the images is judged by fits on the others.
+        images: to evaluate on.
+        settings: intervals, folds, and what is fitted.
+        calibration: further images of the same members, to fit temperature, delta and threshold on. Without them, each
+            fold of ``images`` is evaluated by fits on the other folds.
 
     Raises:
-        SettingsError: nothing to judge on, numbers that do not match, or values that are no masks or
+        SettingsError: more folds than images, predictions of another number of members, or values that are no masks or
             probabilities.
     """
     settings = settings or CalibrationSettings()
-    judged = LabeledPredictions(image_ids, labels, predictions)
-    n_images, n_fitted = len(judged), len(calibration or judged)
+    n_fitted = len(calibration or images)
     if 1 < n_fitted < settings.n_folds:
         raise SettingsError(f"n_folds is {settings.n_folds}, but there are {n_fitted} images")
-    n_steps = 2 * n_images + (0 if calibration is None else 2 * n_fitted)
-    members: list[Tally] = []
-    ensembles: list[Tally] = []
-    whole, fit = WholeTally(), FitTally()
-    for index, (label, stack) in enumerate(judged.checked()):
-        members = members or [Tally() for _ in stack]
-        ensembles = ensembles or [Tally() for _ in stack]
-        total = np.zeros(label.shape)
-        for m, p_member in enumerate(stack):
-            total += p_member
-            members[m].add(p_member, label)
-            if m + 1 < len(stack):
-                ensembles[m].add(total / (m + 1), label)
-        whole.add(total / len(stack), label)
-        fit.add(total / len(stack), label)
-        progress(index + 1, n_steps, f"judged {image_ids[index]}")
-    ensembles[-1] = whole.tally
-
-    weights = bootstrap_weights(n_images, settings.n_bootstrap, settings.seed)
-    judge = _Judge(judged, calibration, weights, settings)
-    test_shares = fit.missed_shares
-    if calibration is not None:
-        fit = FitTally()
-        for index, _ in enumerate(calibration.checked(len(members))):
-            label, p_mean = calibration.pooled(index)
-            fit.add(p_mean, label)
-            progress(n_images + index + 1, n_steps, f"calibrated on {calibration.image_ids[index]}")
-    as_it_is = judge.judgment(whole, 1.0, np.ones(n_images), stack_counts(fit.safety))
-    recalibrated = None
-    if n_fitted > 1:
-        logits = stack_logit_counts(fit.logits)
-        temperature = fit_temperature(logits)
-        unseen = cross_fitted_temperatures(logits, settings.n_folds or None)
-        applied = unseen if calibration is None else np.full(n_images, temperature)
-        again = WholeTally()
-        for index in range(n_images):
-            label, p_mean = judged.pooled(index)
-            again.add(apply_temperature(p_mean, applied[index]), label)
-            progress(n_steps - n_images + index + 1, n_steps, f"recalibrated {image_ids[index]}")
-        safety = stack_counts(again.safety if calibration is None else _safety(calibration, unseen))
-        recalibrated = judge.judgment(again, temperature, applied, safety)
-    used = recalibrated.temperature if settings.recalibrate and recalibrated is not None else 1.0
-    member_results = tuple(member.result(weights, settings.level) for member in members)
+    done, total = itertools.count(1), 2 * (len(images) + len(calibration or ()))  # every image is read twice
+    run = _Evaluation(images, calibration, settings, lambda message: progress(next(done), total, message))
+    members, smaller, whole, test_fit = run.score()
+    fit = test_fit if calibration is None else run.accumulate_fit(calibration, len(members))
+    uncalibrated = run.result(whole, 1.0, np.ones(len(images)), stack_counts(fit.safety))
+    calibrated = run.calibrated(fit) if n_fitted > 1 else None
+    used = calibrated.temperature if settings.recalibrate and calibrated is not None else 1.0
+    member_results, smaller_results = (
+        tuple(predictor.result(run.weights, settings.level) for predictor in predictors)
+        for predictors in (members, smaller)
+    )
     return CalibrationReport(
         settings=settings,
-        image_ids=tuple(image_ids),
+        image_ids=tuple(images.image_ids),
         calibration_image_ids=() if calibration is None else tuple(calibration.image_ids),
         members=member_results,
         member_mean=mean_and_sd([member.scores for member in member_results]),
-        ensembles=tuple(ensemble.result(weights, settings.level) for ensemble in ensembles),
-        as_it_is=as_it_is,
-        recalibrated=recalibrated,
-        risk=_risk(fit.missed_shares, None if calibration is None else test_shares, used, settings),
+        ensembles=(*smaller_results, uncalibrated.predictor),
+        uncalibrated=uncalibrated,
+        calibrated=calibrated,
+        risk=_risk_control(fit.losses, None if calibration is None else test_fit.losses, used, settings),
     )
 
 
 @dataclasses.dataclass(frozen=True)
-class _Judge:
-    judged: LabeledPredictions
+class _Evaluation:
+    images: LabeledPredictions
     calibration: LabeledPredictions | None
-    weights: NDArray[np.int64]
     settings: CalibrationSettings
+    step: Callable[[str], None]
 
-    def judgment(
-        self, whole: WholeTally, temperature: float, applied: NDArray[np.float64], fitted_on: BinCounts
+    @functools.cached_property
+    def weights(self) -> NDArray[np.int64]:
+        """Bootstrap samples of the images, shared by all intervals."""
+        return bootstrap_weights(len(self.images), self.settings.n_bootstrap, self.settings.seed)
+
+    def score(
+        self,
+    ) -> tuple[list[PredictorAccumulator], list[PredictorAccumulator], EnsembleAccumulator, FitAccumulator]:
+        """Read the test images once, at T = 1.
+
+        Returns:
+            sums of each member; of the means of the first 1, .., M - 1 members; of the mean of all M members; and the
+            counts of this mean to fit on.
+        """
+        members: list[PredictorAccumulator] = []
+        smaller: list[PredictorAccumulator] = []
+        whole, fit = EnsembleAccumulator(), FitAccumulator()
+        for image_id, (label, p_members) in zip(self.images.image_ids, self.images.checked(), strict=True):
+            members = members or [PredictorAccumulator() for _ in p_members]
+            smaller = smaller or [PredictorAccumulator() for _ in p_members[1:]]
+            for member, p_member in zip(members, p_members, strict=True):
+                member.add(p_member, label)
+            for m, ensemble in enumerate(smaller, 1):
+                ensemble.add(pooled_probability(p_members[:m]), label)
+            p_occupied = pooled_probability(p_members)
+            whole.add(p_occupied, label)
+            fit.add(p_occupied, label)
+            self.step(f"evaluated {image_id}")
+        return members, smaller, whole, fit
+
+    def accumulate_fit(self, calibration: LabeledPredictions, n_members: int) -> FitAccumulator:
+        fit = FitAccumulator()
+        for image_id, (label, p_members) in zip(calibration.image_ids, calibration.checked(n_members), strict=True):
+            fit.add(pooled_probability(p_members), label)
+            self.step(f"calibrated on {image_id}")
+        return fit
+
+    def calibrated(self, fit: FitAccumulator) -> EvaluationResult:
+        """Fit the temperature, and evaluate every image at a temperature fitted without it."""
+        logits = stack_logit_counts(fit.logits)
+        temperature = fit_temperature(logits)
+        cross_fitted = cross_fitted_temperatures(logits, self.settings.n_folds)
+        applied = cross_fitted if self.calibration is None else np.full(len(self.images), temperature)
+        whole = EnsembleAccumulator()
+        for index, image_id in enumerate(self.images.image_ids):
+            label, p_occupied = self.images.pooled(index, applied[index])
+            whole.add(p_occupied, label)
+            self.step(f"evaluated {image_id} at T = {applied[index]:.3f}")
+        if self.calibration is None:
+            return self.result(whole, temperature, applied, stack_counts(whole.safety))
+        fitted_on = []
+        for index, image_id in enumerate(self.calibration.image_ids):
+            label, p_occupied = self.calibration.pooled(index, cross_fitted[index])
+            fitted_on.append(safety_counts(p_occupied, label))
+            self.step(f"evaluated {image_id} at T = {cross_fitted[index]:.3f}")
+        return self.result(whole, temperature, applied, stack_counts(fitted_on))
+
+    def result(
+        self, whole: EnsembleAccumulator, temperature: float, applied: NDArray[np.float64], fitted_on: BinCounts
     ) -> EvaluationResult:
-        """``fitted_on``: safety counts of the calibration images, at temperatures that have not seen them."""
+        """Pool the images.
+
+        Args:
+            whole: the ensemble on the test images, at the temperatures ``applied`` (N,).
+            temperature: fitted on all calibration images.
+            fitted_on: safety counts of the calibration images, each at a temperature fitted without it.
+        """
         level = self.settings.level
         safety = stack_counts(whole.safety)
-        hand = [image.n_hand_pixels for image in whole.tally.scores]
-        missed = np.cumsum(safety.event, axis=1)[:, :-1]
+        n_hand = [image.n_hand_pixels for image in whole.scores]
+        _, missed = cumulative_safety_counts(safety)
         return EvaluationResult(
             temperature=temperature,
-            lowest=float(applied.min()),
-            highest=float(applied.max()),
-            predictor=whole.tally.result(self.weights, level),
-            hand=curve(stack_counts(whole.hand), self.weights, level),
-            background=curve(stack_counts(whole.background), self.weights, level),
-            safety=curve(safety, self.weights, level),
+            lowest_temperature=float(applied.min()),
+            highest_temperature=float(applied.max()),
+            predictor=whole.result(self.weights, level),
+            hand=reliability_curve(stack_counts(whole.hand), self.weights, level),
+            background=reliability_curve(stack_counts(whole.background), self.weights, level),
+            safety=reliability_curve(safety, self.weights, level),
             support=delta_support(fitted_on, **self._bootstrap),
-            held_out_delta=self._held_out(safety, fitted_on),
-            taken_for_free=tuple(tuple((row / n).tolist()) if n else None for row, n in zip(missed, hand, strict=True)),
+            held_out_delta=self._held_out_delta(safety, fitted_on),
+            missed_at_delta=tuple(
+                tuple((row / n).tolist()) if n else None for row, n in zip(missed, n_hand, strict=True)
+            ),
         )
 
     @property
     def _bootstrap(self) -> dict[str, Any]:
-        return {
-            "n_bootstrap": self.settings.n_bootstrap,
-            "level": self.settings.level,
-            "seed": self.settings.seed,
-        }
+        settings = self.settings
+        return {"n_bootstrap": settings.n_bootstrap, "level": settings.level, "seed": settings.seed}
 
-    def _held_out(self, safety: BinCounts, fitted_on: BinCounts) -> HeldOutDelta | None:
-        everything = np.arange(len(self.judged))
+    def _held_out_delta(self, safety: BinCounts, fitted_on: BinCounts) -> HeldOutDelta | None:
+        every = np.arange(len(self.images))
         if self.calibration is not None:
-            return held_out_support(safety, [fitted_on], [everything], **self._bootstrap)
-        if len(everything) == 1:
+            return held_out_support(safety, [fitted_on], [every], **self._bootstrap)
+        if len(every) == 1:
             return None
-        fold = folds_of(len(everything), self.settings.n_folds or None)
-        parts = [np.nonzero(fold == k)[0] for k in range(fold.max() + 1)]
-        others = [safety.take(np.setdiff1d(everything, part)) for part in parts]
-        return held_out_support(safety, others, parts, **self._bootstrap)
+        fold = folds_of(len(every), self.settings.n_folds)
+        held_out = [np.nonzero(fold == k)[0] for k in range(fold.max() + 1)]
+        fits = [safety.take(np.setdiff1d(every, images)) for images in held_out]
+        return held_out_support(safety, fits, held_out, **self._bootstrap)
 
 
-def _safety(labeled: LabeledPredictions, temperatures: NDArray[np.float64]) -> list[BinCounts]:
-    pooled = (labeled.pooled(index) for index in range(len(labeled)))
-    return [
-        safety_counts(apply_temperature(p_mean, temperature), label)
-        for (label, p_mean), temperature in zip(pooled, temperatures, strict=True)
-    ]
-
-
-def _risk(
-    shares: NDArray[np.float64], held_out: NDArray[np.float64] | None, temperature: float, settings: CalibrationSettings
+def _risk_control(
+    losses: NDArray[np.float64], held_out: NDArray[np.float64] | None, temperature: float, settings: CalibrationSettings
 ) -> tuple[RiskControl, ...]:
-    """Thresholds of the mean as it is, carried through the temperature."""
-    rows = [control_risk(shares, alpha, held_out) for alpha in sorted({*_ALPHAS, settings.missed_hand_alpha})]
+    """Fit thresholds of the uncalibrated probability, and map them through the temperature."""
+    rows = [control_risk(losses, alpha, held_out) for alpha in sorted({*_ALPHAS, settings.missed_hand_alpha})]
     return tuple(
         row
         if row.threshold is None

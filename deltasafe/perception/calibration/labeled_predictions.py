@@ -2,35 +2,45 @@
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.perception.calibration.metrics import require_label, require_p_occupied
+from deltasafe.perception.calibration.metrics import require_label, require_labeled_prediction, require_p_occupied
+from deltasafe.perception.calibration.temperature import pooled_probability
 
-__all__ = ["LabeledPredictions"]
+__all__ = ["LabeledPredictions", "PredictionSource"]
+
+
+class PredictionSource(Protocol):
+    """N arrays (M, H, W) of the p_occupied of M members, for example a list or `MemberPredictions`."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> NDArray[np.floating]: ...
 
 
 @dataclasses.dataclass(frozen=True)
 class LabeledPredictions:
-    """What M members think of N labeled images.
+    """N labeled images and the predictions of M members on them.
 
     Attributes:
         image_ids: N unique names.
         labels: N masks (H, W), bool or 0/255; sizes may differ between images.
-        predictions: N arrays (M, H, W) of the members' p_occupied; read one at a time (`MemberPredictions`).
+        predictions: of the N images; read one at a time.
     """
 
     image_ids: Sequence[str]
     labels: Sequence[NDArray[np.generic]]
-    predictions: Sequence[NDArray[np.floating]]
+    predictions: PredictionSource
 
     def __post_init__(self) -> None:
         n_images = len(self.image_ids)
         if not n_images == len(self.labels) == len(self.predictions) or n_images == 0:
             raise SettingsError(
-                f"one label and one prediction an image are needed, got {n_images} ids, {len(self.labels)} labels, "
+                f"one label and one prediction per image are needed, got {n_images} ids, {len(self.labels)} labels, "
                 f"{len(self.predictions)} predictions"
             )
         if len(set(self.image_ids)) != n_images:
@@ -39,23 +49,30 @@ class LabeledPredictions:
     def __len__(self) -> int:
         return len(self.image_ids)
 
-    def checked(self, n_members: int | None = None) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.floating]]]:
-        """(H, W) bool label and (M, H, W) predictions, image after image; an error names the image."""
+    def checked(self, n_members: int | None = None) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
+        """Yield (H, W) bool label and (M, H, W) predictions of each image.
+
+        Args:
+            n_members: required M; by default that of the first image.
+
+        Raises:
+            SettingsError: names the image whose label or predictions are invalid.
+        """
         for image_id, label, index in zip(self.image_ids, self.labels, range(len(self)), strict=True):
             stack = self.predictions[index]
             try:
-                occupied = require_label(label)
                 if np.ndim(stack) != 3 or len(stack) == 0 or n_members not in (None, len(stack)):
                     raise SettingsError(
                         f"predictions must have shape (M, H, W), M the same in all images, got {np.shape(stack)}"
                     )
                 n_members = len(stack)
-                require_p_occupied(stack[0], occupied.shape)
-                require_p_occupied(stack)
+                _, occupied = require_labeled_prediction(stack[0], label)
+                p_members = require_p_occupied(stack)
             except SettingsError as error:
                 raise SettingsError(f"{image_id}: {error}") from error
-            yield occupied, stack
+            yield occupied, p_members
 
-    def pooled(self, index: int) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """(H, W) bool label and (H, W) mean of all members, of an image that was checked before."""
-        return require_label(self.labels[index]), np.asarray(self.predictions[index], np.float64).mean(axis=0)
+    def pooled(self, index: int, temperature: float = 1.0) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Return label and `pooled_probability` of all members, both (H, W), of an image that was checked before."""
+        p_members = np.asarray(self.predictions[index], dtype=np.float64)
+        return require_label(self.labels[index]), pooled_probability(p_members, temperature)

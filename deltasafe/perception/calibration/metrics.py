@@ -1,18 +1,18 @@
-"""The four measures of section V-A (PA, mIoU, BS, NLL), scored per image on all pixels and then aggregated.
+"""The four metrics of section V-A (PA, mIoU, BS, NLL): scored per image on all pixels, then aggregated over images.
 
-The definitions of this project live here and nowhere else (decision 3):
+All metrics of this project are defined here (decision 3):
 
-- a pixel is *predicted occupied* when ``p_occupied >= 0.5`` (an exact 0.5 counts as occupied);
-- PA, pixel accuracy: share of pixels predicted right; mean over images;
-- mIoU: mean of the IoU of hand and of background in an image; mean over images. A class that neither label
-  nor prediction shows agrees perfectly and has IoU 1; one that only the other shows has IoU 0;
+- a pixel is *predicted occupied* if ``p_occupied >= 0.5`` (an exact 0.5 counts as occupied);
+- PA, pixel accuracy: fraction of correctly classified pixels; mean over images;
+- mIoU: mean of the IoU of hand and of background in an image; mean over images. A class that appears in neither label
+  nor prediction has IoU 1; a class that appears in only one of them has IoU 0;
 - BS, Brier score: mean over all pixels of (p_occupied - occupied)^2, one class;
-- NLL: mean over all pixels of -log of the probability given to the true class, in nats, with ``p_occupied``
-  clipped to [1e-7, 1 - 1e-7];
-- missed-hand rate: share of an image's hand pixels that are predicted free; undefined without a hand;
+- NLL: mean over all pixels of -log of the probability of the true class, in nats, with ``p_occupied`` clipped to
+  [1e-7, 1 - 1e-7];
+- missed-hand rate: fraction of an image's hand pixels that are predicted free; undefined without a hand;
 - "+-" is one standard deviation over members (n - 1 in the denominator).
 
-Hence BS >= (1 - PA) / 4 whenever all images are equally large: a wrong pixel costs at least 1/4.
+If all images have the same size, BS >= (1 - PA) / 4, because a misclassified pixel contributes at least 1/4.
 """
 
 import dataclasses
@@ -33,6 +33,7 @@ __all__ = [
     "percentile_interval",
     "pool_scores",
     "require_label",
+    "require_labeled_prediction",
     "require_p_occupied",
     "score_image",
 ]
@@ -51,8 +52,8 @@ class ImageScores:
         miou: mean IoU of hand and background, in [0, 1].
         brier: mean squared error over the pixels of the image.
         nll: mean negative log-likelihood over the pixels of the image, nats.
-        missed_hand_rate: share of hand pixels predicted free; None without hand pixels.
-        false_alarm_rate: share of background pixels predicted occupied; None without background.
+        missed_hand_rate: fraction of hand pixels predicted free; None without hand pixels.
+        false_alarm_rate: fraction of background pixels predicted occupied; None without background.
     """
 
     n_pixels: int
@@ -67,7 +68,7 @@ class ImageScores:
 
 @dataclasses.dataclass(frozen=True)
 class Scores:
-    """PA, mIoU, BS and NLL of one predictor over a set of images (see the module for their definitions)."""
+    """PA, mIoU, BS and NLL of one predictor over a set of images (definitions: module docstring)."""
 
     pixel_accuracy: float
     miou: float
@@ -77,7 +78,7 @@ class Scores:
 
 @dataclasses.dataclass(frozen=True)
 class MeanAndSd:
-    """Mean and standard deviation of ``n`` members' scores; the deviation is None for one member."""
+    """Mean and standard deviation of the scores of ``n`` members; ``sd`` is None for a single member."""
 
     n: int
     mean: Scores
@@ -85,10 +86,10 @@ class MeanAndSd:
 
 
 def require_label(label: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """(H, W) bool, True = hand, of a mask given as bool, as 0/1 or as 0/255.
+    """Convert a mask of bool, 0/1 or 0/255 to (H, W) bool, True = hand.
 
     Raises:
-        SettingsError: the mask is not two-dimensional, is empty, or has another value.
+        SettingsError: the mask is not two-dimensional, is empty, or contains another value.
     """
     label = np.asarray(label)
     if label.ndim != 2 or label.size == 0:
@@ -105,10 +106,10 @@ def require_label(label: NDArray[np.generic]) -> NDArray[np.bool_]:
 
 
 def require_p_occupied(p_occupied: NDArray[np.floating], shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:
-    """``p_occupied`` as float64.
+    """Convert ``p_occupied`` to float64.
 
     Raises:
-        SettingsError: a shape other than the label's, a value that is not finite or outside [0, 1].
+        SettingsError: the shape is not that of the label; a value is not finite or outside [0, 1].
     """
     if not np.issubdtype(np.asarray(p_occupied).dtype, np.floating):
         raise SettingsError(f"p_occupied must be floating point, got {np.asarray(p_occupied).dtype}")
@@ -122,8 +123,16 @@ def require_p_occupied(p_occupied: NDArray[np.floating], shape: tuple[int, ...] 
     return p
 
 
+def require_labeled_prediction(
+    p_occupied: NDArray[np.floating], label: NDArray[np.generic]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return (H, W) probabilities and labels of one image, checked by `require_p_occupied` and `require_label`."""
+    occupied = require_label(label)
+    return require_p_occupied(p_occupied, occupied.shape), occupied
+
+
 def score_image(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) -> ImageScores:
-    """Score one prediction on one image, on all pixels, accumulated in float64.
+    """Score one prediction on all pixels of one image, accumulated in float64.
 
     Args:
         p_occupied: (H, W) probability of each pixel to be hand.
@@ -132,71 +141,68 @@ def score_image(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) ->
     Raises:
         SettingsError: see `require_label` and `require_p_occupied`.
     """
-    occupied = require_label(label)
-    p = require_p_occupied(p_occupied, occupied.shape)
+    p, occupied = require_labeled_prediction(p_occupied, label)
     predicted = p >= 0.5
-    n, n_hand, n_predicted = p.size, int(occupied.sum()), int(predicted.sum())
-    hit = int((occupied & predicted).sum())
-    missed, false_alarm = n_hand - hit, n_predicted - hit
-    clear = n - hit - missed - false_alarm
+    n, n_hand = p.size, int(occupied.sum())
+    true_positives = int((occupied & predicted).sum())
+    false_negatives = n_hand - true_positives
+    false_positives = int(predicted.sum()) - true_positives
+    true_negatives = n - n_hand - false_positives
     p_true = np.where(occupied, p, 1.0 - p).clip(NLL_CLIP, 1.0 - NLL_CLIP)
     return ImageScores(
         n_pixels=n,
         n_hand_pixels=n_hand,
-        pixel_accuracy=(hit + clear) / n,
-        miou=(_iou(hit, n - clear) + _iou(clear, n - hit)) / 2,
+        pixel_accuracy=(true_positives + true_negatives) / n,
+        miou=(_iou(true_positives, n - true_negatives) + _iou(true_negatives, n - true_positives)) / 2,
         brier=float(np.square(p - occupied).mean()),
         nll=float(-np.log(p_true).mean()),
-        missed_hand_rate=missed / n_hand if n_hand else None,
-        false_alarm_rate=false_alarm / (n - n_hand) if n > n_hand else None,
+        missed_hand_rate=false_negatives / n_hand if n_hand else None,
+        false_alarm_rate=false_positives / (n - n_hand) if n > n_hand else None,
     )
 
 
-def pool_scores(images: Sequence[ImageScores], weights: Sequence[float] | None = None) -> Scores:
-    """Aggregate over images: PA and mIoU as means over images, BS and NLL as means over all pixels.
-
-    Args:
-        images: scores of N >= 1 images.
-        weights: (N,) how often each image counts (the multiplicities of a bootstrap sample); once by default.
-    """
-    weight = np.ones(len(images)) if weights is None else np.asarray(weights, dtype=np.float64)
-    return Scores(*bootstrap_scores(images, weight[None])[0].tolist())
+def pool_scores(images: Sequence[ImageScores]) -> Scores:
+    """Aggregate over N >= 1 images: PA and mIoU as means over images, BS and NLL as means over all pixels."""
+    return Scores(*bootstrap_scores(images, np.ones((1, len(images))))[0].tolist())
 
 
 def bootstrap_scores(images: Sequence[ImageScores], weights: NDArray[np.number]) -> NDArray[np.float64]:
-    """(R, 4) PA, mIoU, BS and NLL, as `pool_scores`, of R bootstrap samples of the images.
+    """Aggregate as `pool_scores` in R bootstrap samples of the images.
 
-    The rows of two predictors on the same images and weights are paired: their difference is the sample of the
+    For two predictors on the same images and weights, the difference of the results is the paired bootstrap of the
     difference.
 
     Args:
         images: scores of N >= 1 images.
-        weights: (R, N) how often each image occurs in each sample.
+        weights: (R, N) multiplicity of each image in each sample.
+
+    Returns:
+        (R, 4) PA, mIoU, BS and NLL.
     """
     if not images:
         raise SettingsError("scores need at least one image")
     n_pixels, *table = np.transpose(
         [(image.n_pixels, image.pixel_accuracy, image.miou, image.brier, image.nll) for image in images]
     )
-    each_image = weights @ np.transpose(table[:2]) / weights.sum(axis=1, keepdims=True)
+    image_means = weights @ np.transpose(table[:2]) / weights.sum(axis=1, keepdims=True)
     pixels = weights * n_pixels
-    each_pixel = pixels @ np.transpose(table[2:]) / pixels.sum(axis=1, keepdims=True)
-    return np.hstack([each_image, each_pixel])
+    pixel_means = pixels @ np.transpose(table[2:]) / pixels.sum(axis=1, keepdims=True)
+    return np.hstack([image_means, pixel_means])
 
 
-def percentile_interval(drawn: NDArray[np.float64], level: float) -> tuple[Scores, Scores]:
-    """Two-sided percentile interval of ``drawn`` (R, 4), the rows of `bootstrap_scores`: its lower and upper ends."""
-    low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2], axis=0)
+def percentile_interval(samples: NDArray[np.float64], level: float) -> tuple[Scores, Scores]:
+    """Compute both ends of the two-sided percentile interval of ``samples`` (R, 4), rows of `bootstrap_scores`."""
+    low, high = np.quantile(samples, [(1 - level) / 2, (1 + level) / 2], axis=0)
     return Scores(*low.tolist()), Scores(*high.tolist())
 
 
 def mean_and_sd(members: Sequence[Scores]) -> MeanAndSd:
-    """Mean and one standard deviation over M >= 1 members."""
-    table = np.array([dataclasses.astuple(scores) for scores in members], dtype=np.float64)
-    if len(table) == 0:
+    """Compute mean and one standard deviation over M >= 1 members."""
+    if not members:
         raise SettingsError("the mean over members needs at least one member")
-    sd = Scores(*(float(value) for value in table.std(axis=0, ddof=1))) if len(table) > 1 else None
-    return MeanAndSd(len(table), Scores(*(float(value) for value in table.mean(axis=0))), sd)
+    table = np.array([dataclasses.astuple(scores) for scores in members], dtype=np.float64)
+    sd = Scores(*table.std(axis=0, ddof=1).tolist()) if len(table) > 1 else None
+    return MeanAndSd(len(table), Scores(*table.mean(axis=0).tolist()), sd)
 
 
 def _iou(intersection: int, union: int) -> float:

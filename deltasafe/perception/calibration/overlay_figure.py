@@ -1,4 +1,4 @@
-"""Where the ensemble is right and where it is wrong, drawn over the photographs."""
+"""The figure of evaluated images: label, p_occupied, and the misclassified pixels in color."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -25,11 +25,11 @@ _FALSE_ALARM = "#4DA3FF"
 
 @dataclasses.dataclass(frozen=True)
 class Overlay:
-    """One judged image.
+    """One evaluated image.
 
     Attributes:
         image_id: its name.
-        image: (H, W, 3) uint8 photograph at the resolution of the label.
+        image: (H, W, 3) uint8 at the resolution of the label.
         label: (H, W) bool or 0/255.
         p_occupied: (H, W) probability of the ensemble.
     """
@@ -41,12 +41,12 @@ class Overlay:
 
 
 def overlay_figure(overlays: Sequence[Overlay], delta: float = 0.05) -> Figure:
-    """A row an image: photograph with the label's contour, p_occupied, and the errors in color.
+    """Draw one row per image: the image with the label's contour, p_occupied, and the errors in color.
 
-    Hand that the planner would take for free (``p_occupied <= delta``) stands out from other misses.
+    Missed hand pixels with ``p_occupied <= delta``, which are free for the planner, have their own color.
 
     Raises:
-        SettingsError: no image, or one whose size is not the label's.
+        SettingsError: there is no image, or an image and its label differ in size.
     """
     if not overlays:
         raise SettingsError("an overlay needs at least one image")

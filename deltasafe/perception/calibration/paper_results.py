@@ -1,8 +1,7 @@
-"""What the paper reports for its perception (section V-A, Tables I to III and Fig. 4), to print beside our
-figures.
+"""The paper's results for perception (section V-A, Tables I to III and Fig. 4), for comparison with our results.
 
-The column headings of the paper's Table II are swapped (decision 1); here they are corrected. The "1000
-images, our scheme" row of Table II is the M = 10 ensemble of Table III (decision 2).
+The column headings of the paper's Table II are swapped (decision 1); here they are corrected. The row "1000 images, our
+scheme" of Table II is the M = 10 ensemble of Table III (decision 2).
 """
 
 import dataclasses
@@ -18,7 +17,7 @@ __all__ = [
 
 @dataclasses.dataclass(frozen=True)
 class SchemeResult:
-    """A row of Tables I and II: PA and mIoU of single members with their sd, BS and NLL of the ensemble."""
+    """A row of Tables I and II: mean and sd of PA and mIoU over members, BS and NLL of the ensemble."""
 
     n_images: int
     scheme: str

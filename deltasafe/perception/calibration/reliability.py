@@ -1,9 +1,7 @@
-"""How often is the network right when it says so? Counts per image first, curves and intervals from the
-counts.
+"""Reliability: how often a prediction of given probability is correct. Counts per image, then curves with intervals.
 
-Every histogram has the image as its first axis: no step needs all pixels at once, and the bootstrap draws
-images. Neighboring pixels are copies of one another, so that intervals over pixels would be far too narrow
-(decision 4).
+The first axis of every histogram is the image. No step needs all pixels at once, and the bootstrap draws images.
+Neighboring pixels are strongly correlated, so that intervals over pixels would be far too narrow (decision 4).
 """
 
 import dataclasses
@@ -12,23 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.perception.calibration.metrics import require_label, require_p_occupied
+from deltasafe.perception.calibration.metrics import require_labeled_prediction
 
 __all__ = [
     "CONFIDENCE_EDGES",
     "DELTA_GRID",
     "BinCounts",
-    "Curve",
+    "ReliabilityCurve",
+    "bin_pixels",
     "bootstrap_weights",
     "class_counts",
     "confidence_counts",
-    "curve",
+    "delta_index",
+    "ratio",
+    "reliability_curve",
     "safety_counts",
     "stack_counts",
 ]
 
 CONFIDENCE_EDGES = tuple(i / 20 for i in range(10, 21))
-"""Ten equal bins on [0.5, 1] (Fig. 4 of the paper); the last is closed."""
+"""Ten equal bins on [0.5, 1] (Fig. 4 of the paper); the last one is closed."""
 
 DELTA_GRID = (
     *(1e-4, 2e-4, 5e-4),
@@ -36,7 +37,7 @@ DELTA_GRID = (
     *(0.01, 0.015, 0.02, 0.03, 0.05, 0.07),
     *(0.1, 0.15, 0.2, 0.3, 0.5),
 )
-"""The values of delta at which the support of the data is judged; also the bins of the safety diagram."""
+"""The values of delta that are tested for support; also the upper edges of the bins of the safety diagram."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,8 +46,8 @@ class BinCounts:
 
     Attributes:
         count: (N, B) int64, pixels.
-        p_sum: (N, B) float64, sum of the stated probability of the event.
-        event: (N, B) int64, pixels at which the event came true.
+        p_sum: (N, B) float64, sum of the predicted probability of the event.
+        event: (N, B) int64, pixels at which the event occurred.
     """
 
     count: NDArray[np.int64]
@@ -54,30 +55,35 @@ class BinCounts:
     event: NDArray[np.int64]
 
     def take(self, images: NDArray[np.intp]) -> "BinCounts":
-        """The counts of some of the images."""
+        """Select images by index."""
         return BinCounts(self.count[images], self.p_sum[images], self.event[images])
 
 
 @dataclasses.dataclass(frozen=True)
-class Curve:
-    """A reliability curve of B bins; None where no pixel fell into a bin.
+class ReliabilityCurve:
+    """A reliability curve of B bins; None for bins without pixels.
 
     Attributes:
         count: pixels per bin.
-        stated: mean stated probability per bin (confidence, or p_occupied).
-        observed: how often the event came true (accuracy, or share of occupied pixels).
-        low, high: interval of ``observed``, by bootstrap over images; empty if none was asked for.
+        predicted: mean predicted probability per bin (confidence, or p_occupied).
+        observed: frequency of the event per bin (accuracy, or fraction of occupied pixels).
+        low, high: interval of ``observed`` by bootstrap over images; empty without bootstrap weights.
     """
 
     count: tuple[int, ...]
-    stated: tuple[float | None, ...]
+    predicted: tuple[float | None, ...]
     observed: tuple[float | None, ...]
     low: tuple[float | None, ...] = ()
     high: tuple[float | None, ...] = ()
 
 
+def delta_index(delta: float) -> int:
+    """Return the index of the smallest value of ``DELTA_GRID`` that is at least ``delta``; at most the last index."""
+    return min(int(np.searchsorted(DELTA_GRID, delta)), len(DELTA_GRID) - 1)
+
+
 def confidence_counts(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) -> BinCounts:
-    """Counts of the paper's reliability diagram for one image: is the predicted class right, per confidence?
+    """Count correct predictions per bin of confidence in one image, for the reliability diagram of the paper.
 
     Confidence is max(p_occupied, 1 - p_occupied); an exact 0.5 counts as predicted occupied (decision 4).
 
@@ -88,51 +94,51 @@ def confidence_counts(p_occupied: NDArray[np.floating], label: NDArray[np.generi
     Returns:
         counts with N = 1, B = 10.
     """
-    occupied = require_label(label)
-    p = require_p_occupied(p_occupied, occupied.shape)
-    confidence = np.maximum(p, 1.0 - p)
-    bins = np.searchsorted(CONFIDENCE_EDGES[1:-1], confidence, side="right")
-    return _count(bins, confidence, (p >= 0.5) == occupied, len(CONFIDENCE_EDGES) - 1)
+    p, occupied = require_labeled_prediction(p_occupied, label)
+    return _bin_by_confidence(p, (p >= 0.5) == occupied)
 
 
 def class_counts(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) -> tuple[BinCounts, BinCounts]:
-    """The counts of `confidence_counts` apart for pixels predicted as hand and as background.
+    """Count as `confidence_counts`, separately for pixels predicted as hand and as background.
 
-    A network may be overconfident where it sees a hand and under-confident where it sees none; pooled, the many
-    background pixels hide it.
+    A network can be overconfident for hand and under-confident for background. Pooled counts hide it, because most
+    pixels are background.
 
     Returns:
         counts of the pixels predicted as hand, and as background, each with N = 1, B = 10.
     """
-    occupied = require_label(label)
-    p = require_p_occupied(p_occupied, occupied.shape)
-    confidence = np.maximum(p, 1.0 - p)
-    bins = np.searchsorted(CONFIDENCE_EDGES[1:-1], confidence, side="right")
-    n_bins = len(CONFIDENCE_EDGES) - 1
+    p, occupied = require_labeled_prediction(p_occupied, label)
     hand = p >= 0.5
-    return (
-        _count(bins[hand], confidence[hand], occupied[hand], n_bins),
-        _count(bins[~hand], confidence[~hand], ~occupied[~hand], n_bins),
-    )
+    return _bin_by_confidence(p[hand], occupied[hand]), _bin_by_confidence(p[~hand], ~occupied[~hand])
 
 
 def safety_counts(p_occupied: NDArray[np.floating], label: NDArray[np.generic]) -> BinCounts:
-    """Counts of the diagram that matters to safety for one image: is a pixel occupied, per p_occupied = 1 -
-    p_free?
+    """Count occupied pixels per bin of p_occupied in one image, for the safety diagram.
 
-    Bin k holds ``DELTA_GRID[k - 1] < p_occupied <= DELTA_GRID[k]``, the first one starts at 0, the last one
-    ends at 1: sums over the first bins are the pixels that a planner with that delta takes for free.
+    Bin k holds ``DELTA_GRID[k - 1] < p_occupied <= DELTA_GRID[k]``. The first bin starts at 0, the last one ends at 1.
+    Hence the first k + 1 bins hold the pixels that a planner with ``DELTA_GRID[k]`` treats as free.
 
     Returns:
         counts with N = 1, B = len(DELTA_GRID) + 1.
     """
-    occupied = require_label(label)
-    p = require_p_occupied(p_occupied, occupied.shape)
-    return _count(np.searchsorted(DELTA_GRID, p, side="left"), p, occupied, len(DELTA_GRID) + 1)
+    p, occupied = require_labeled_prediction(p_occupied, label)
+    return bin_pixels(np.searchsorted(DELTA_GRID, p, side="left"), p, occupied, len(DELTA_GRID) + 1)
+
+
+def bin_pixels(
+    bins: NDArray[np.intp], p_event: NDArray[np.float64], event: NDArray[np.bool_], n_bins: int
+) -> BinCounts:
+    """Sum pixels, predicted probability of the event, and events per bin; the arguments have one entry per pixel."""
+    bins = bins.ravel()
+    return BinCounts(
+        count=np.bincount(bins, minlength=n_bins)[None],
+        p_sum=np.bincount(bins, weights=p_event.ravel(), minlength=n_bins)[None].astype(np.float64),
+        event=np.bincount(bins[event.ravel()], minlength=n_bins)[None],
+    )
 
 
 def stack_counts(images: list[BinCounts]) -> BinCounts:
-    """The counts of several images as one, along the first axis."""
+    """Concatenate the counts of several images along the first axis."""
     if not images:
         raise SettingsError("reliability needs at least one image")
     return BinCounts(
@@ -140,55 +146,57 @@ def stack_counts(images: list[BinCounts]) -> BinCounts:
     )
 
 
-def curve(counts: BinCounts, weights: NDArray[np.int64] | None = None, level: float = 0.95) -> Curve:
-    """Pool the images' counts into a curve.
+def reliability_curve(
+    counts: BinCounts, weights: NDArray[np.int64] | None = None, level: float = 0.95
+) -> ReliabilityCurve:
+    """Pool the counts of N images into a curve.
 
     Args:
         counts: N images, B bins.
-        weights: (R, N) multiplicities of R bootstrap samples of the images (`bootstrap_weights`); intervals
-            if given.
+        weights: (R, N) multiplicities of R bootstrap samples (`bootstrap_weights`); without them, no intervals.
         level: coverage of the two-sided percentile interval.
     """
     count = counts.count.sum(axis=0)
     low: tuple[float | None, ...] = ()
     high: tuple[float | None, ...] = ()
     if weights is not None:
-        drawn = ratio(weights @ counts.event, weights @ counts.count)
+        samples = ratio(weights @ counts.event, weights @ counts.count)
         tails = [(1 - level) / 2, (1 + level) / 2]
         bounds = [
             np.quantile(column[~np.isnan(column)], tails) if pixels else np.full(2, np.nan)
-            for column, pixels in zip(drawn.T, count, strict=True)
+            for column, pixels in zip(samples.T, count, strict=True)
         ]
-        low, high = (_optional(side) for side in np.transpose(bounds))
-    return Curve(
+        low, high = (_none_for_nan(side) for side in np.transpose(bounds))
+    return ReliabilityCurve(
         count=tuple(int(pixels) for pixels in count),
-        stated=_optional(ratio(counts.p_sum.sum(axis=0), count)),
-        observed=_optional(ratio(counts.event.sum(axis=0), count)),
+        predicted=_none_for_nan(ratio(counts.p_sum.sum(axis=0), count)),
+        observed=_none_for_nan(ratio(counts.event.sum(axis=0), count)),
         low=low,
         high=high,
     )
 
 
 def bootstrap_weights(n_images: int, n_bootstrap: int, seed: int) -> NDArray[np.int64]:
-    """(n_bootstrap, n_images) how often each image occurs in each sample drawn with replacement."""
+    """Draw ``n_bootstrap`` samples of the images with replacement.
+
+    Returns:
+        (n_bootstrap, n_images) multiplicity of each image in each sample.
+    """
     rng = np.random.default_rng(seed)
     return rng.multinomial(n_images, np.full(n_images, 1.0 / n_images), size=n_bootstrap)
 
 
 def ratio(numerator: NDArray[np.generic], denominator: NDArray[np.generic]) -> NDArray[np.float64]:
-    """Quotient that is NaN, silently, where the denominator is zero."""
+    """Divide; NaN, without a warning, where the denominator is zero."""
     result = np.full(np.shape(denominator), np.nan)
     return np.divide(numerator, denominator, out=result, where=np.asarray(denominator) > 0)
 
 
-def _count(bins: NDArray[np.intp], stated: NDArray[np.float64], event: NDArray[np.bool_], n_bins: int) -> BinCounts:
-    bins = bins.ravel()
-    return BinCounts(
-        count=np.bincount(bins, minlength=n_bins)[None],
-        p_sum=np.bincount(bins, weights=stated.ravel(), minlength=n_bins)[None].astype(np.float64),
-        event=np.bincount(bins[event.ravel()], minlength=n_bins)[None],
-    )
+def _bin_by_confidence(p_occupied: NDArray[np.float64], correct: NDArray[np.bool_]) -> BinCounts:
+    confidence = np.maximum(p_occupied, 1.0 - p_occupied)
+    bins = np.searchsorted(CONFIDENCE_EDGES[1:-1], confidence, side="right")
+    return bin_pixels(bins, confidence, correct, len(CONFIDENCE_EDGES) - 1)
 
 
-def _optional(values: NDArray[np.float64]) -> tuple[float | None, ...]:
+def _none_for_nan(values: NDArray[np.float64]) -> tuple[float | None, ...]:
     return tuple(None if np.isnan(value) else float(value) for value in values)

@@ -1,4 +1,4 @@
-"""Everything that the test images say about an ensemble, as plain figures; the gate before the freeze."""
+"""The calibration report of an ensemble as plain data, its settings, and the gate before the freeze."""
 
 import dataclasses
 import itertools
@@ -17,18 +17,19 @@ from deltasafe.perception.calibration.delta_support import (
     smallest_supported_delta,
 )
 from deltasafe.perception.calibration.metrics import ImageScores, MeanAndSd, Scores
-from deltasafe.perception.calibration.reliability import DELTA_GRID, Curve
+from deltasafe.perception.calibration.reliability import ReliabilityCurve, delta_index
 
 __all__ = [
+    "FORMAT_VERSION",
     "CalibrationReport",
     "CalibrationSettings",
     "EvaluationResult",
     "GateThresholds",
-    "Predictor",
+    "PredictorResult",
     "gate",
 ]
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,11 +39,11 @@ class CalibrationSettings:
     Attributes:
         n_bootstrap: bootstrap samples of the images.
         level: coverage of intervals (two-sided) and confidence of the supported delta (one-sided).
-        n_folds: folds over images, of which each is judged by a fit on the others; 0 leaves one image out at a time.
+        n_folds: folds over the images; each fold is evaluated by a fit on the others. 0: leave one image out.
         seed: of the bootstrap.
-        recalibrate: the ensemble is used and frozen with the temperature; without it, as it is.
-        missed_hand_alpha: largest expected share of a hand with p_occupied up to the threshold that conformal risk
-            control is to find.
+        recalibrate: freeze and use the ensemble with the fitted temperature; otherwise with T = 1.
+        missed_hand_alpha: target of conformal risk control: bound on the expected fraction of a hand with p_occupied up
+            to the threshold.
         planning_delta: the delta that motions are planned with. The report marks hand pixels with p_occupied up to it,
             and the gate requires that the images support it.
     """
@@ -69,15 +70,15 @@ class CalibrationSettings:
 
 
 @dataclasses.dataclass(frozen=True)
-class Predictor:
-    """One member, or the mean of the first M members, over all images.
+class PredictorResult:
+    """Results of one predictor (a member, or the mean of the first M members) over all images.
 
     Attributes:
         images: (N,) scores per image.
         scores: PA, mIoU, BS, NLL over all images.
         low, high: their intervals, by bootstrap over images.
         errors: gaps between confidence and accuracy.
-        reliability: the paper's diagram, with intervals.
+        reliability: the reliability diagram of the paper, with intervals.
     """
 
     images: tuple[ImageScores, ...]
@@ -85,42 +86,39 @@ class Predictor:
     low: Scores
     high: Scores
     errors: CalibrationErrors
-    reliability: Curve
-
-    @property
-    def expected_calibration_error(self) -> float:
-        return self.errors.expected
+    reliability: ReliabilityCurve
 
 
 @dataclasses.dataclass(frozen=True)
 class EvaluationResult:
-    """The whole ensemble at one temperature, on images that the temperature has not seen.
+    """Results of the whole ensemble, each image at a temperature that was fitted without it.
 
     Attributes:
-        temperature: fitted on all calibration images, for use on further ones; 1 if there is none.
-        lowest, highest: range of the temperatures that the images were judged with.
+        temperature: fitted on all calibration images, to be used on further images; 1 for the uncalibrated ensemble.
+        lowest_temperature, highest_temperature: range of the temperatures that the images were evaluated with.
         predictor: scores and errors.
-        hand, background: reliability of the pixels that are predicted as hand, and as background.
-        safety: how often a pixel is occupied per bin of p_occupied (bounds in ``DELTA_GRID``), with intervals.
-        support: what the calibration images say about each delta.
-        held_out_delta: the smallest supported delta on images it was not fitted on; None for a single image.
-        taken_for_free: for each image the share of its hand's pixels with p_occupied <= delta, delta in
+        hand, background: reliability of the pixels predicted as hand, and as background.
+        safety: fraction of occupied pixels per bin of p_occupied (bounds in ``DELTA_GRID``), with intervals.
+        support: support of each delta by the calibration images.
+        held_out_delta: the smallest supported delta on images that it was not fitted on; None for a single image.
+        missed_at_delta: for each image, the fraction of its hand pixels with p_occupied <= delta, delta in
             ``DELTA_GRID``; None for an image without a hand.
     """
 
     temperature: float
-    lowest: float
-    highest: float
-    predictor: Predictor
-    hand: Curve
-    background: Curve
-    safety: Curve
+    lowest_temperature: float
+    highest_temperature: float
+    predictor: PredictorResult
+    hand: ReliabilityCurve
+    background: ReliabilityCurve
+    safety: ReliabilityCurve
     support: tuple[DeltaSupport, ...]
     held_out_delta: HeldOutDelta | None
-    taken_for_free: tuple[tuple[float, ...] | None, ...]
+    missed_at_delta: tuple[tuple[float, ...] | None, ...]
 
     @property
     def smallest_supported_delta(self) -> float | None:
+        """The smallest delta that the calibration images support."""
         return smallest_supported_delta(self.support)
 
 
@@ -130,14 +128,14 @@ class CalibrationReport:
 
     Attributes:
         settings: how it was computed.
-        image_ids: (N,) names of the images that it judges.
-        calibration_image_ids: further images, on which temperature, delta and threshold were fitted; none if they
-            were fitted and judged on the N images in turn (cross-fitting).
-        members: (M,) each member alone, as it is.
+        image_ids: (N,) names of the images.
+        calibration_image_ids: further images, on which temperature, delta and threshold were fitted; empty if they were
+            cross-fitted on the N images.
+        members: (M,) each member alone, uncalibrated.
         member_mean: mean and standard deviation over members.
-        ensembles: (M,) mean of the first 1, 2, .., M members, as it is.
-        as_it_is: the whole ensemble, T = 1.
-        recalibrated: the whole ensemble with a temperature; None for a single image.
+        ensembles: (M,) mean of the first 1, 2, .., M members, uncalibrated.
+        uncalibrated: the whole ensemble, T = 1.
+        calibrated: the whole ensemble with the fitted temperature; None if it was not fitted (a single image).
         risk: thresholds by conformal risk control, for p_occupied as it is used.
         format_version: of the stored form.
     """
@@ -145,24 +143,24 @@ class CalibrationReport:
     settings: CalibrationSettings
     image_ids: tuple[str, ...]
     calibration_image_ids: tuple[str, ...]
-    members: tuple[Predictor, ...]
+    members: tuple[PredictorResult, ...]
     member_mean: MeanAndSd
-    ensembles: tuple[Predictor, ...]
-    as_it_is: EvaluationResult
-    recalibrated: EvaluationResult | None
+    ensembles: tuple[PredictorResult, ...]
+    uncalibrated: EvaluationResult
+    calibrated: EvaluationResult | None
     risk: tuple[RiskControl, ...]
     format_version: int = FORMAT_VERSION
 
     @property
     def final(self) -> EvaluationResult:
-        """The whole ensemble as it will be used: recalibrated, if settings and images allow it."""
-        if self.settings.recalibrate and self.recalibrated is not None:
-            return self.recalibrated
-        return self.as_it_is
+        """The whole ensemble as it is used: calibrated, unless the setting or a single image prevents it."""
+        if self.settings.recalibrate and self.calibrated is not None:
+            return self.calibrated
+        return self.uncalibrated
 
     @property
     def n_calibration_images(self) -> int:
-        """Images that temperature, delta and threshold were fitted on."""
+        """Number of images that temperature, delta and threshold were fitted on."""
         return len(self.calibration_image_ids or self.image_ids)
 
     @property
@@ -172,24 +170,27 @@ class CalibrationReport:
 
     @property
     def images(self) -> tuple[ImageScores, ...]:
-        """(N,) scores of the whole ensemble, as it will be used, per image."""
+        """(N,) scores of the whole ensemble, as it is used, per image."""
         return self.final.predictor.images
 
     @property
     def n_members(self) -> int:
+        """M."""
         return len(self.members)
 
     @property
     def n_pixels(self) -> int:
+        """Number of pixels of all images."""
         return sum(image.n_pixels for image in self.images)
 
     @property
-    def hand_share(self) -> float:
-        """Share of hand pixels over all images."""
+    def hand_fraction(self) -> float:
+        """Fraction of hand pixels over all images."""
         return sum(image.n_hand_pixels for image in self.images) / self.n_pixels
 
     @property
     def smallest_supported_delta(self) -> float | None:
+        """The smallest delta that the images support for the ensemble as it is used."""
         return self.final.smallest_supported_delta
 
     @property
@@ -198,27 +199,29 @@ class CalibrationReport:
         return tuple(sorted(range(len(self.images)), key=lambda i: (self.images[i].miou, self.image_ids[i])))
 
     @property
-    def most_missed_first(self) -> tuple[int, ...]:
-        """Indices of the images with a hand by falling share that is missed (p_occupied < 0.5), ties by name."""
-        missed = [(i, image.missed_hand_rate) for i, image in enumerate(self.images)]
-        rates = {i: rate for i, rate in missed if rate is not None}
-        return tuple(sorted(rates, key=lambda i: (-rates[i], self.image_ids[i])))
+    def missed_hand_rates(self) -> dict[int, float]:
+        """Fraction of the hand with p_occupied < 0.5, by index of the image, largest first, ties by name."""
+        return self._largest_first({i: image.missed_hand_rate for i, image in enumerate(self.images)})
 
-    def worst_examples(self, n_examples: int, delta: float) -> tuple[int, ...]:
-        """Indices of images to look at: worst by mIoU, by missed hand, and by hand taken for free at ``delta``.
+    @property
+    def missed_at_planning_delta(self) -> dict[int, float]:
+        """Fraction of the hand that is free at the planning delta, by index of the image, largest first, ties by name.
 
-        The three rankings take turns, so that no way to fail is left out.
+        Delta is rounded up to the next value of ``DELTA_GRID``.
         """
-        column = min((k for k, value in enumerate(DELTA_GRID) if value >= delta), default=len(DELTA_GRID) - 1)
-        taken = {i: shares[column] for i, shares in enumerate(self.final.taken_for_free) if shares is not None}
-        most_taken = sorted(taken, key=lambda i: (-taken[i], self.image_ids[i]))
-        turns = itertools.zip_longest(self.worst_first, self.most_missed_first, most_taken)
+        column = delta_index(self.settings.planning_delta)
+        rows = enumerate(self.final.missed_at_delta)
+        return self._largest_first({i: None if row is None else row[column] for i, row in rows})
+
+    def worst_examples(self, n_examples: int) -> tuple[int, ...]:
+        """Select images to show: in turn the worst by mIoU, missed hand, and missed hand at the planning delta."""
+        turns = itertools.zip_longest(self.worst_first, self.missed_hand_rates, self.missed_at_planning_delta)
         chosen = dict.fromkeys(i for turn in turns for i in turn if i is not None)
         return tuple(chosen)[:n_examples]
 
     @property
     def calibration(self) -> Calibration:
-        """What is stored with the frozen ensemble and asked before planning."""
+        """The calibration that is stored with the frozen ensemble and checked before planning."""
         final, risk = self.final.predictor, self.risk_control
         return Calibration(
             n_images=len(self.images),
@@ -227,7 +230,7 @@ class CalibrationReport:
             miou=final.scores.miou,
             brier=final.scores.brier,
             nll=final.scores.nll,
-            expected_calibration_error=final.expected_calibration_error,
+            expected_calibration_error=final.errors.expected,
             smallest_supported_delta=self.smallest_supported_delta,
             level=self.settings.level,
             temperature=self.final.temperature,
@@ -237,14 +240,14 @@ class CalibrationReport:
         )
 
     def figures(self) -> dict[str, float]:
-        """The figures of the whole ensemble by short name, for trackers and tables."""
+        """Figures of the whole ensemble by short name, for trackers and tables."""
         final, supported, risk = self.final.predictor, self.smallest_supported_delta, self.risk_control
         return {
             "pa": final.scores.pixel_accuracy,
             "miou": final.scores.miou,
             "nll": final.scores.nll,
             "bs": final.scores.brier,
-            "ece": final.expected_calibration_error,
+            "ece": final.errors.expected,
             "ece_adaptive": final.errors.adaptive,
             "calibration_error_signed": final.errors.signed,
             "temperature": self.final.temperature,
@@ -270,15 +273,18 @@ class CalibrationReport:
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(path, f"is not a calibration report ({error}); calibrate again") from error
 
+    def _largest_first(self, fractions: dict[int, float | None]) -> dict[int, float]:
+        known = {i: fraction for i, fraction in fractions.items() if fraction is not None}
+        return dict(sorted(known.items(), key=lambda item: (-item[1], self.image_ids[item[0]])))
+
 
 @dataclasses.dataclass(frozen=True)
 class GateThresholds:
-    """What an ensemble must reach before it is frozen.
+    """Requirements for freezing an ensemble.
 
     Attributes:
-        pixel_accuracy, miou: least values of the whole ensemble.
-        missed_hand_rate: largest share of a hand that may be missed (p_occupied < 0.5) in any image; 1 asks
-            nothing.
+        pixel_accuracy, miou: smallest allowed values of the whole ensemble.
+        missed_hand_rate: largest allowed fraction of a hand with p_occupied < 0.5 in any image; 1 allows any fraction.
     """
 
     pixel_accuracy: float = 0.9
@@ -292,15 +298,15 @@ class GateThresholds:
 
 
 def gate(report: CalibrationReport, thresholds: GateThresholds) -> list[str]:
-    """What keeps the ensemble from being frozen: one sentence a failure, none if it may pass."""
+    """List the reasons against freezing the ensemble, one sentence each; empty if it passes."""
     scores = report.final.predictor.scores
     failures = [
-        f"{name} is {value:.4f} and must be at least {least:g}"
-        for name, value, least in (
+        f"{name} is {value:.4f} and must be at least {minimum:g}"
+        for name, value, minimum in (
             ("pixel accuracy", scores.pixel_accuracy, thresholds.pixel_accuracy),
             ("mIoU", scores.miou, thresholds.miou),
         )
-        if value < least
+        if value < minimum
     ]
     supported, planned = report.smallest_supported_delta, report.settings.planning_delta
     if supported is None:

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from deltasafe.errors import SettingsError
-from deltasafe.perception.calibration.temperature import apply_temperature
+from deltasafe.perception.calibration.temperature import pooled_probability
 from deltasafe.perception.inference.backends import InferenceBackend, TorchBackend
 from deltasafe.perception.inference.lazy_backend import LazyEngine
 from deltasafe.perception.settings import InferenceSettings
@@ -60,8 +60,7 @@ class Ensemble:
         Raises:
             SettingsError: ``rgb`` has another shape or type.
         """
-        mean = self._member_p_occupied(rgb).mean(dim=0).cpu().numpy()
-        return apply_temperature(mean, self.temperature).astype(np.float32)
+        return pooled_probability(self.member_p_occupied(rgb), self.temperature).astype(np.float32)
 
     def member_p_occupied(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """(M, H, W) float32: what each member thinks of ``rgb``, (H, W, 3) uint8; the temperature is not applied."""

@@ -1,7 +1,7 @@
-"""The studies of section V-A: compared schemes (Tables I, II), ensemble size (Table III, Fig. 4), ablation.
+"""The studies of section V-A: augmentation schemes (Tables I, II), ensemble size (Table III, Fig. 4), ablation.
 
-`StudySettings` says which cells there are, `Study` trains and judges them, `tables` and `writing` report.
-Settings are at hand without torch; all else is imported from its module.
+`StudySettings` lists the cells, `study` trains and evaluates them, `tables` and `report` present the results. This
+module imports neither torch nor OpenCV.
 """
 
 from deltasafe.studies.perception.settings import Cell, StudySettings

@@ -1,4 +1,4 @@
-"""The studies as a folder: `report.md` with tables and pictures, and every figure by a short name."""
+"""Write the studies as a folder, `report.md` with tables and pictures, and list every figure by a short name."""
 
 import dataclasses
 import pathlib
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from deltasafe.io.storage import atomic_folder
 from deltasafe.perception.calibration.ensemble_size import ensemble_size_table, ensemble_size_values
 from deltasafe.perception.calibration.metrics import Scores
-from deltasafe.reporting.markdown import table
+from deltasafe.reporting.templates import render
 from deltasafe.studies.perception.settings import Cell, StudySettings
 from deltasafe.studies.perception.tables import (
     SCHEME_TITLES,
@@ -16,9 +16,9 @@ from deltasafe.studies.perception.tables import (
     Reports,
     SchemeRow,
     ablation_rows,
-    best_everywhere,
     best_rows,
     missing_cells,
+    ours_is_best,
     scheme_rows,
 )
 
@@ -27,11 +27,14 @@ if TYPE_CHECKING:
 
     from deltasafe.perception.data.augmented_set import AugmentedSet
 
-__all__ = ["SECTIONS", "ablation_markdown", "scheme_markdown", "study_values", "write_study"]
+__all__ = ["SECTIONS", "study_values", "write_study"]
 
 SECTIONS = ("schemes", "ensemble_size", "ablation")
 
+_PACKAGE = "deltasafe.studies.perception"
 _SHORT = {"pixel_accuracy": "pa", "miou": "miou", "nll": "nll", "brier": "bs"}
+_UNITS = {"pixel_accuracy": 1e2, "miou": 1e2, "nll": 1e2, "brier": 1e3}
+"""Factors to the units of the paper's tables, in their order."""
 
 
 def write_study(
@@ -41,13 +44,14 @@ def write_study(
     sections: Sequence[str] = SECTIONS,
     sets: "Mapping[str, AugmentedSet] | None" = None,
 ) -> pathlib.Path:
-    """Write what is finished; what is not is named as missing. The folder appears as a whole or not at all.
+    """Write the finished parts atomically, and name the missing cells.
 
     Args:
         folder: destination, replaced if it exists.
+        settings: the cells.
         reports: of the finished cells, by name.
         sections: some of `SECTIONS`.
-        sets: augmented sets of the largest size by scheme, to show some of their images.
+        sets: augmented sets of the largest size by scheme; some of their images are shown.
 
     Returns:
         path of `report.md`.
@@ -61,134 +65,20 @@ def write_study(
     with atomic_folder(folder) as temporary:
         for name, figure in (item for section in made for item in section.pictures.items()):
             figure.savefig(temporary / name, dpi=110, facecolor="white")
-        text = "\n\n".join(part for section in made for part in section.parts)
-        (temporary / "report.md").write_text(text + "\n", encoding="utf-8")
+        text = render(_PACKAGE, "report.md.j2", sections=made).rstrip("\n") + "\n"
+        (temporary / "report.md").write_text(text, encoding="utf-8")
     return pathlib.Path(folder) / "report.md"
 
 
-@dataclasses.dataclass(frozen=True)
-class _Section:
-    parts: Sequence[str]
-    pictures: "Mapping[str, Figure]"
-
-
-def _section(title: str, missing: Sequence[str], text: str, pictures: "Mapping[str, Figure]") -> _Section:
-    parts = [f"## {title}"]
-    if missing:
-        parts.append(f"Not finished yet: {', '.join(missing)}.")
-    if text:
-        parts.append(text)
-    return _Section([*parts, *(f"![{name.removesuffix('.png')}]({name})" for name in pictures)], pictures)
-
-
-def _schemes(settings: StudySettings, reports: Reports, sets: "Mapping[str, AugmentedSet]") -> _Section:
-    from deltasafe.perception.data.contact_sheet import scheme_sheet
-    from deltasafe.studies.perception.scheme_figures import scheme_figure, scheme_tables_figure
-
-    rows = scheme_rows(settings, reports)
-    pictures = {"tables-1-2.png": scheme_tables_figure(rows), "schemes.png": scheme_figure(rows)} if rows else {}
-    if sets:
-        pictures["images.jpg"] = scheme_sheet({SCHEME_TITLES[name]: made for name, made in sets.items()})
-    text = scheme_markdown(rows, settings) if rows else ""
-    missing = missing_cells(settings.schemes(), reports)
-    return _section("Augmentation schemes (Tables I and II)", missing, text, pictures)
-
-
-def _ensemble_size(settings: StudySettings, reports: Reports) -> _Section:
-    from deltasafe.perception.calibration.ensemble_size_figure import ensemble_reliability_figure, ensemble_size_figure
-
-    title = f"Ensemble size (Table III and Fig. 4): our scheme, {settings.sizes[-1]} images"
-    if (report := reports.get(settings.largest.name)) is None:
-        return _section(title, [settings.largest.name], "", {})
-    pictures = {"table-3.png": ensemble_size_figure(report), "figure-4.png": ensemble_reliability_figure(report)}
-    return _section(title, (), ensemble_size_table(report), pictures)
-
-
-def _ablation(settings: StudySettings, reports: Reports) -> _Section:
-    from deltasafe.studies.perception.scheme_figures import ablation_figure
-
-    rows = ablation_rows(settings, reports)
-    pictures = {"ablation.png": ablation_figure(rows)} if any(row.loss is not None for row in rows) else {}
-    text = ablation_markdown(rows) if rows else ""
-    whole = Cell("ours", settings.sizes[-1], settings.n_members)
-    missing = missing_cells((whole, *settings.ablation()), reports)
-    return _section("Ablation: one method left out", missing, text, pictures)
-
-
-def scheme_markdown(rows: Sequence[SchemeRow], settings: StudySettings) -> str:
-    """Tables I and II in the paper's units, beside the paper's figures, and how far our scheme leads."""
-    best = best_everywhere(rows, settings)
-    verdict = {
-        None: "",
-        True: "Our scheme beats every other in all four measures at every size.",
-        False: "Our scheme does **not** beat every other in all four measures at every size.",
-    }[best]
-    notes = (
-        "Every cell is trained with the same number of gradient steps, every row has the M that stands in it. PA and "
-        "mIoU: mean ± one standard deviation over the M members. NLL and BS: of the mean of the members. In brackets "
-        "the interval by bootstrap over test images. The headings of the paper's Table II are swapped, here they are "
-        'corrected; its row "1000 images, our scheme" is an ensemble of M = 10, the M of its others is not given.'
-    )
-    if settings.lighter:
-        notes += (
-            " The recipe of all these cells is a lighter one, the same for all: "
-            + " and ".join(
-                text
-                for value, text in (
-                    (settings.comparison_width, f"images {settings.comparison_width} pixels wide"),
-                    (settings.comparison_epochs, f"{settings.comparison_epochs} epochs over the largest set"),
-                )
-                if value
-            )
-            + ", all else as in the preset; the figures are worse than Table III's for that reason."
-        )
-    lead_note = (
-        "Lead of our scheme, interval by bootstrap over images (paired: both schemes on the same drawn images); "
-        "above zero it is better."
-    )
-    first = table(
-        ("Images", "Scheme", "M", "PA [%]", "Paper", "mIoU [%]", "Paper"),
-        [(*_head(row), *_members(row, rows, "pixel_accuracy"), *_members(row, rows, "miou")) for row in rows],
-    )
-    second = table(
-        ("Images", "Scheme", "M", "NLL x 10²", "Paper", "BS x 10³", "Paper"),
-        [(*_head(row), *_mean(row, rows, "nll", 1e2), *_mean(row, rows, "brier", 1e3)) for row in rows],
-    )
-    led = [row for row in rows if row.lead_low is not None and row.lead_high is not None]
-    third = table(
-        ("Images", "Over", "PA [%]", "mIoU [%]", "NLL x 10²", "BS x 10³"),
-        [(f"{row.cell.n_images}", SCHEME_TITLES[row.cell.scheme], *_spans(row.lead_low, row.lead_high)) for row in led],
-    )
-    return "\n\n".join(part for part in (verdict, first, second, *((lead_note, third) if led else ()), notes) if part)
-
-
-def ablation_markdown(rows: Sequence[AblationRow]) -> str:
-    """What is lost without a method, with intervals."""
-    note = (
-        "Loss without the method, interval by paired bootstrap over images: what is above zero, the method is worth. "
-        "The interval says what other images would change, not what other seeds would, and M is small. PA and mIoU "
-        "are means over members, NLL and BS those of their ensemble, against the same seeds of the whole scheme."
-    )
-    head = ("Without", "M", "PA [%]", "loss", "mIoU [%]", "loss", "NLL x 10²", "loss", "BS x 10³", "loss")
-    lines = []
-    for row in rows:
-        mean, ensemble = row.members.mean, row.ensemble
-        values = (1e2 * mean.pixel_accuracy, 1e2 * mean.miou, 1e2 * ensemble.nll, 1e3 * ensemble.brier)
-        losses = _spans(row.loss_low, row.loss_high)
-        pairs = (text for value, loss in zip(values, losses, strict=True) for text in (f"{value:.2f}", loss))
-        lines.append((row.cell.left_out.replace("_", " "), f"{row.cell.n_members}", *pairs))
-    return f"{note}\n\n{table(head, lines)}"
-
-
 def study_values(settings: StudySettings, reports: Reports) -> dict[str, float]:
-    """Every figure of the tables by a short name: ``cutout_200_pa``, ``bs_m10``, ``without_flip_nll_loss``, ..."""
+    """List every figure by a short name: ``cutout_200_pa``, ``bs_m10``, ``without_flip_nll_loss``, ..."""
     values: dict[str, float] = {}
     rows = scheme_rows(settings, reports)
     for row in rows:
         name = f"{row.cell.scheme}_{row.cell.n_images}"
         values[f"{name}_m"] = row.cell.n_members
         for field, short in _SHORT.items():
-            values[f"{name}_{short}"] = getattr(row.compared, field)
+            values[f"{name}_{short}"] = getattr(row.table_scores, field)
             if row.members.sd is not None and short in ("pa", "miou"):
                 values[f"{name}_{short}_sd"] = getattr(row.members.sd, field)
             if short in ("nll", "bs"):
@@ -204,40 +94,98 @@ def study_values(settings: StudySettings, reports: Reports) -> dict[str, float]:
                 values[f"{name}_{short}_loss_high"] = getattr(without.loss_high, field)
     if (largest := reports.get(settings.largest.name)) is not None:
         values |= ensemble_size_values(largest)
-    if (best := best_everywhere(rows, settings)) is not None:
+    if (best := ours_is_best(rows, settings)) is not None:
         values["ours_best_in_all_cells"] = best
     return values
 
 
-def _head(row: SchemeRow) -> tuple[str, str, str]:
-    return f"{row.cell.n_images}", SCHEME_TITLES[row.cell.scheme], f"{row.cell.n_members}"
+@dataclasses.dataclass(frozen=True)
+class _Section:
+    title: str
+    missing: Sequence[str] = ()
+    text: str = ""
+    pictures: "Mapping[str, Figure]" = dataclasses.field(default_factory=dict)
 
 
-def _members(row: SchemeRow, rows: Sequence[SchemeRow], name: str) -> tuple[str, str]:
-    """Mean and sd over members in percent, the best of its size in bold, and the paper's."""
-    sd = "" if row.members.sd is None else f" ± {1e2 * getattr(row.members.sd, name):.1f}"
-    ours = _bold(f"{1e2 * getattr(row.compared, name):.1f}{sd}", row in best_rows(rows, name))
-    if row.paper is None:
-        return ours, ""
-    return ours, f"{1e2 * getattr(row.paper, name):.1f} ± {1e2 * getattr(row.paper, f'{name}_sd'):.1f}"
+def _schemes(settings: StudySettings, reports: Reports, sets: "Mapping[str, AugmentedSet]") -> _Section:
+    from deltasafe.perception.data.contact_sheet import scheme_sheet
+    from deltasafe.studies.perception.scheme_figures import scheme_figure, scheme_tables_figure
+
+    rows = scheme_rows(settings, reports)
+    pictures = {"tables-1-2.png": scheme_tables_figure(rows), "schemes.png": scheme_figure(rows)} if rows else {}
+    if sets:
+        pictures["images.jpg"] = scheme_sheet({SCHEME_TITLES[name]: augmented for name, augmented in sets.items()})
+    missing = missing_cells(settings.schemes(), reports)
+    return _Section("Augmentation schemes (Tables I and II)", missing, _scheme_text(rows, settings), pictures)
 
 
-def _mean(row: SchemeRow, rows: Sequence[SchemeRow], name: str, unit: float) -> tuple[str, str]:
-    """Score of the ensemble with its interval, the best of its size in bold, and the paper's."""
-    value, low, high = (unit * getattr(scores, name) for scores in (row.compared, row.low, row.high))
-    ours = f"{_bold(f'{value:.2f}', row in best_rows(rows, name))} ({low:.2f} to {high:.2f})"
-    return ours, "" if row.paper is None else f"{unit * getattr(row.paper, name):.1f}"
+def _ensemble_size(settings: StudySettings, reports: Reports) -> _Section:
+    from deltasafe.perception.calibration.ensemble_size_figure import ensemble_reliability_figure, ensemble_size_figure
+
+    title = f"Ensemble size (Table III and Fig. 4): our scheme, {settings.sizes[-1]} images"
+    if (report := reports.get(settings.largest.name)) is None:
+        return _Section(title, [settings.largest.name])
+    pictures = {"table-3.png": ensemble_size_figure(report), "figure-4.png": ensemble_reliability_figure(report)}
+    return _Section(title, (), ensemble_size_table(report), pictures)
 
 
-def _bold(text: str, bold: bool) -> str:
-    return f"**{text}**" if bold else text
+def _ablation(settings: StudySettings, reports: Reports) -> _Section:
+    from deltasafe.studies.perception.scheme_figures import ablation_figure
+
+    rows = ablation_rows(settings, reports)
+    pictures = {"ablation.png": ablation_figure(rows)} if any(row.loss is not None for row in rows) else {}
+    text = render(_PACKAGE, "ablation.md.j2", rows=[_ablation_cells(row) for row in rows]) if rows else ""
+    whole = Cell("ours", settings.sizes[-1], settings.n_members)
+    missing = missing_cells((whole, *settings.ablation()), reports)
+    return _Section("Ablation: one method left out", missing, text.rstrip("\n"), pictures)
 
 
-def _spans(low: Scores | None, high: Scores | None) -> tuple[str, ...]:
-    """An interval for each measure, in the paper's units and order."""
+def _scheme_text(rows: Sequence[SchemeRow], settings: StudySettings) -> str:
+    """Write Tables I and II in the paper's units with the paper's values, and the lead of our scheme."""
+    if not rows:
+        return ""
+    heads = [(f"{row.cell.n_images}", SCHEME_TITLES[row.cell.scheme], f"{row.cell.n_members}") for row in rows]
+    columns = {name: [_score(row, rows, name) for row in rows] for name in ("pixel_accuracy", "miou", "nll", "brier")}
+    return render(
+        _PACKAGE,
+        "schemes.md.j2",
+        settings=settings,
+        ours_is_best=ours_is_best(rows, settings),
+        member_rows=[sum(cells, ()) for cells in zip(heads, columns["pixel_accuracy"], columns["miou"], strict=True)],
+        ensemble_rows=[sum(cells, ()) for cells in zip(heads, columns["nll"], columns["brier"], strict=True)],
+        lead_rows=[
+            (*head[:2], *_intervals(row.lead_low, row.lead_high))
+            for head, row in zip(heads, rows, strict=True)
+            if row.lead_low is not None
+        ],
+    ).rstrip("\n")
+
+
+def _score(row: SchemeRow, rows: Sequence[SchemeRow], name: str) -> tuple[str, str]:
+    """Format a score, in bold if it is the best of its size, with its sd or interval; and the paper's value."""
+    unit, value = _UNITS[name], _UNITS[name] * getattr(row.table_scores, name)
+    paper = "" if row.paper is None else f"{unit * getattr(row.paper, name):.1f}"
+    if name in ("nll", "brier"):
+        text = f"{value:.2f}"
+        interval = f" ({unit * getattr(row.low, name):.2f} to {unit * getattr(row.high, name):.2f})"
+    else:
+        sd = "" if row.members.sd is None else f" ± {unit * getattr(row.members.sd, name):.1f}"
+        text, interval = f"{value:.1f}{sd}", ""
+        paper += "" if row.paper is None else f" ± {unit * getattr(row.paper, f'{name}_sd'):.1f}"
+    return (f"**{text}**" if row in best_rows(rows, name) else text) + interval, paper
+
+
+def _ablation_cells(row: AblationRow) -> tuple[str, ...]:
+    values = [f"{unit * getattr(row.table_scores, name):.2f}" for name, unit in _UNITS.items()]
+    losses = _intervals(row.loss_low, row.loss_high)
+    pairs = (text for pair in zip(values, losses, strict=True) for text in pair)
+    return (row.cell.left_out.replace("_", " "), f"{row.cell.n_members}", *pairs)
+
+
+def _intervals(low: Scores | None, high: Scores | None) -> tuple[str, ...]:
+    """Format an interval of each measure in the paper's units and order; empty without an interval."""
     if low is None or high is None:
-        return ("",) * 4
+        return ("",) * len(_UNITS)
     return tuple(
-        f"{unit * getattr(low, name):+.2f} to {unit * getattr(high, name):+.2f}"
-        for name, unit in (("pixel_accuracy", 1e2), ("miou", 1e2), ("nll", 1e2), ("brier", 1e3))
+        f"{unit * getattr(low, name):+.2f} to {unit * getattr(high, name):+.2f}" for name, unit in _UNITS.items()
     )

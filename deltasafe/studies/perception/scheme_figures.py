@@ -1,4 +1,4 @@
-"""Tables I and II and the ablation as pictures: what was measured, beside what the paper reports."""
+"""Figures of Tables I and II and of the ablation: our results and the paper's."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,13 +7,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from deltasafe.perception.calibration.curve_drawing import BLUE, GRAY, ORANGE, RED
+from deltasafe.reporting.panels import clean
 from deltasafe.studies.perception.tables import SCHEME_TITLES, AblationRow, SchemeRow, best_rows
 
 __all__ = ["ablation_figure", "scheme_figure", "scheme_tables_figure"]
 
-_BLUE = "#0072B2"
-_GRAY = "#8a8a8a"
-_RED = "#C8102E"
 _PRINTED = {
     "pixel_accuracy": ("PA [%]", 1e2),
     "miou": ("mIoU [%]", 1e2),
@@ -23,7 +22,7 @@ _PRINTED = {
 
 
 def scheme_tables_figure(rows: Sequence[SchemeRow]) -> Figure:
-    """Tables I and II in the paper's form, the paper's own figures in gray beside ours, best of a size in bold."""
+    """Draw Tables I and II in the form of the paper: our values, the paper's in gray, the best of each size in bold."""
     sizes = sorted({row.cell.n_images for row in rows})
     height = 0.26 * (len(rows) + 0.6 * len(sizes) + 4)
     figure = Figure(figsize=(10.6, height), layout=None)
@@ -38,7 +37,7 @@ def scheme_tables_figure(rows: Sequence[SchemeRow]) -> Figure:
     for name, x in columns.items():
         axes.text(x, y, _PRINTED[name][0], ha="center", va="center", weight="bold")
         axes.text(x - 0.008, y + 0.8, "measured", ha="right", va="center", fontsize=8)
-        axes.text(x + 0.008, y + 0.8, "paper", ha="left", va="center", fontsize=8, color=_GRAY)
+        axes.text(x + 0.008, y + 0.8, "paper", ha="left", va="center", fontsize=8, color=GRAY)
     y += 1.6
     for size in sizes:
         _rule(axes, y - 0.4, 0.6)
@@ -53,17 +52,17 @@ def scheme_tables_figure(rows: Sequence[SchemeRow]) -> Figure:
                 best = row in best_rows(rows, name)
                 ours, paper = _printed(row, name)
                 axes.text(x - 0.008, y, ours, ha="right", va="center", weight="bold" if best else "normal")
-                axes.text(x + 0.008, y, paper, ha="left", va="center", color=_GRAY)
+                axes.text(x + 0.008, y, paper, ha="left", va="center", color=GRAY)
         y += 1.0
     _rule(axes, y - 0.3, 1.2)
     note = "± is one standard deviation over the $M$ members (PA, mIoU); NLL and BS are those of their mean. "
-    note += "The paper's headings NLL and BS are corrected."
+    note += "The paper's swapped headings NLL and BS are corrected."
     axes.text(0.0, y + 0.3, note, va="center", fontsize=8, color="#555555")
     return figure
 
 
 def scheme_figure(rows: Sequence[SchemeRow]) -> Figure:
-    """The four measures of every scheme at every size; hollow and dashed: the paper's."""
+    """Plot the four measures of every scheme at every size; hollow: the paper's values."""
     sizes = sorted({row.cell.n_images for row in rows})
     schemes = [name for name in SCHEME_TITLES if any(row.cell.scheme == name for row in rows)]
     figure = Figure(figsize=(11, 3.5), layout="constrained")
@@ -71,7 +70,7 @@ def scheme_figure(rows: Sequence[SchemeRow]) -> Figure:
     for axes, (name, (label, unit)) in zip(all_axes, _PRINTED.items(), strict=True):
         for row in rows:
             k = sizes.index(row.cell.n_images)
-            color = _BLUE if k == len(sizes) - 1 else "#E69F00"
+            color = BLUE if k == len(sizes) - 1 else ORANGE
             y = schemes.index(row.cell.scheme) + (k - (len(sizes) - 1) / 2) * 0.34
             low, value, high = _span(row, name)
             axes.plot([unit * low, unit * high], [y, y], "-", color=color, lw=2, alpha=0.45)
@@ -83,14 +82,14 @@ def scheme_figure(rows: Sequence[SchemeRow]) -> Figure:
             axes.set_xlim(left=0)
         _clean(axes)
     all_axes[0].set_yticks(range(len(schemes)), [SCHEME_TITLES[name] for name in schemes])
-    handles = [_dot(_BLUE if k == len(sizes) - 1 else "#E69F00", f"{size} images") for k, size in enumerate(sizes)]
+    handles = [_dot(BLUE if k == len(sizes) - 1 else ORANGE, f"{size} images") for k, size in enumerate(sizes)]
     handles.append(Line2D([], [], marker="o", ls="", mfc="white", mec="black", ms=5, label="the paper's"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
     return figure
 
 
 def ablation_figure(rows: Sequence[AblationRow]) -> Figure:
-    """How much worse each measure becomes without a method; right of zero the method helps."""
+    """Plot the loss of each measure without a method; right of zero, the method helps."""
     drawn = [row for row in rows if row.loss is not None]
     figure = Figure(figsize=(11, 0.9 + 0.3 * max(len(drawn), 3)), layout="constrained")
     all_axes = figure.subplots(1, 4, sharey=True)
@@ -98,7 +97,7 @@ def ablation_figure(rows: Sequence[AblationRow]) -> Figure:
         axes.axvline(0, color="black", lw=0.8)
         for y, row in enumerate(drawn):
             loss, low, high = (unit * getattr(scores, name) for scores in (row.loss, row.loss_low, row.loss_high))
-            color = _GRAY if low <= 0 <= high else _BLUE if loss > 0 else _RED
+            color = GRAY if low <= 0 <= high else BLUE if loss > 0 else RED
             axes.plot([low, high], [y, y], "-", color=color, lw=2, alpha=0.45)
             axes.plot(loss, y, "o", color=color, ms=6)
         axes.set(xlabel=f"loss in {label}", ylim=(len(drawn) - 0.5, -0.5))
@@ -109,7 +108,7 @@ def ablation_figure(rows: Sequence[AblationRow]) -> Figure:
 
 def _printed(row: SchemeRow, name: str) -> tuple[str, str]:
     unit, digits = _PRINTED[name][1], 2 if name == "nll" else 1
-    ours = f"{unit * getattr(row.compared, name):.{digits}f}"
+    ours = f"{unit * getattr(row.table_scores, name):.{digits}f}"
     paper = "" if row.paper is None else f"{unit * getattr(row.paper, name):.1f}"
     if name in ("pixel_accuracy", "miou"):
         if row.members.sd is not None:
@@ -120,8 +119,8 @@ def _printed(row: SchemeRow, name: str) -> tuple[str, str]:
 
 
 def _span(row: SchemeRow, name: str) -> tuple[float, float, float]:
-    """Low end, value and high end: of one sd over members, or of the ensemble's interval."""
-    value = getattr(row.compared, name)
+    """Return low end, value and high end: one sd over members, or the interval of the ensemble."""
+    value = getattr(row.table_scores, name)
     if name in ("nll", "brier"):
         return getattr(row.low, name), value, getattr(row.high, name)
     sd = 0.0 if row.members.sd is None else getattr(row.members.sd, name)
@@ -137,7 +136,6 @@ def _dot(color: str, label: str) -> Any:
 
 
 def _clean(axes: Axes) -> None:
-    axes.spines[["top", "right", "left"]].set_visible(False)
+    clean(axes)
+    axes.spines["left"].set_visible(False)
     axes.tick_params(axis="y", length=0)
-    axes.grid(True, axis="x", color="#e6e6e6", lw=0.6)
-    axes.set_axisbelow(True)

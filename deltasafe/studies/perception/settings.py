@@ -1,4 +1,4 @@
-"""Which cells the studies of the paper's section V-A have; free of torch and OpenCV, so that a UI can name them."""
+"""The cells of the studies of section V-A. Imports neither torch nor OpenCV, because the UI lists the cells."""
 
 import dataclasses
 
@@ -11,14 +11,14 @@ __all__ = ["Cell", "StudySettings"]
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """An ensemble to train and judge: a scheme at a size, for ablations with one method left out.
+    """An ensemble to train and evaluate: a scheme at a size; in the ablation, with one method left out.
 
     Attributes:
         scheme: a name of `deltasafe.perception.data.schemes.SCHEMES`.
         n_images: size of the augmented set.
         n_members: M.
-        left_out: method of our scheme that is never applied; empty for the whole scheme.
-        full: trained by the preset's recipe where the comparisons have a lighter one.
+        left_out: method of our scheme that is not applied; empty for the whole scheme.
+        full: trained with the recipe of the preset although the comparisons have a lighter one.
     """
 
     scheme: str
@@ -40,7 +40,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """For folders, partitions and figures: ``mixup-200``, ``ours-1000-without-flip``, ``ours-1000-full``."""
+        """Name of partitions and figures: ``mixup-200``, ``ours-1000-without-flip``, ``ours-1000-full``."""
         without = f"-without-{self.left_out}" if self.left_out else ""
         return f"{self.scheme}-{self.n_images}{without}{'-full' if self.full else ''}"
 
@@ -49,20 +49,20 @@ class Cell:
 class StudySettings:
     """Extent of the studies; network, training and inference are those of the preset.
 
-    Tables I and II and the ablation may have a lighter recipe, the same for all of their cells: they compare, and their
-    many ensembles would take a day on two cores. Table III and Fig. 4 always have the preset's.
+    Tables I and II and the ablation can have a lighter recipe, the same for all of their cells. They only compare
+    schemes, and their ensembles would take a day on two cores. Table III and Fig. 4 have the recipe of the preset.
 
     Attributes:
-        sizes: of the augmented sets; every cell is trained with as many gradient steps as the largest.
+        sizes: of the augmented sets; every cell is trained with as many gradient steps as one of the largest size.
         n_members: M of Tables I and II, the same for every scheme.
-        n_members_most: M up to which Table III goes: our scheme at the largest size.
-        n_members_ablation: M with one method left out; compared with as many members of the whole scheme.
-        left_out: methods of the ablation, one after another, at the largest size.
+        n_members_most: largest M of Table III (our scheme at the largest size).
+        n_members_ablation: M with one method left out; compared with the same number of members of the whole scheme.
+        left_out: methods of the ablation, each left out once, at the largest size.
         cutout_side: see `CutoutSettings`.
         mixup_alpha: see `MixupSettings`.
-        comparison_width: of the images of Tables I and II and the ablation, in pixels; 0 is the preset's. Their
-            ensembles look at images that are smaller in the same proportion.
-        comparison_epochs: over a set of the largest size, for the same; 0 is the preset's.
+        comparison_width: width of the training images of Tables I and II and the ablation, in pixels; the size of
+            inference is scaled accordingly. 0: as in the preset.
+        comparison_epochs: epochs over a set of the largest size, for the same cells. 0: as in the preset.
         first_seed: member m of every cell has the seed ``first_seed`` + m.
     """
 
@@ -81,7 +81,7 @@ class StudySettings:
         object.__setattr__(self, "sizes", tuple(self.sizes))
         object.__setattr__(self, "left_out", tuple(self.left_out))
         if not self.sizes or list(self.sizes) != sorted(set(self.sizes)) or self.sizes[0] < 1:
-            raise SettingsError(f"sizes must be positive and rising, got {self.sizes}")
+            raise SettingsError(f"sizes must be positive and ascending, got {self.sizes}")
         if not 1 <= self.n_members <= self.n_members_most:
             raise SettingsError(
                 f"n_members must lie in 1..n_members_most ({self.n_members_most}), got {self.n_members}"
@@ -96,25 +96,25 @@ class StudySettings:
         self.cells()
 
     @property
-    def lighter(self) -> bool:
-        """Whether the comparisons have a recipe of their own."""
+    def has_comparison_recipe(self) -> bool:
+        """Whether the comparisons have a lighter recipe than the preset."""
         return self.comparison_width > 0 or self.comparison_epochs > 0
 
     @property
     def largest(self) -> Cell:
-        """Our scheme at the largest size with the preset's recipe: the ensemble of Table III."""
-        return Cell("ours", self.sizes[-1], self.n_members_most, full=self.lighter)
+        """Our scheme at the largest size with the recipe of the preset: the ensemble of Table III."""
+        return Cell("ours", self.sizes[-1], self.n_members_most, full=self.has_comparison_recipe)
 
     def schemes(self) -> tuple[Cell, ...]:
-        """Cells of Tables I and II, in the order of the paper."""
+        """Return the cells of Tables I and II, in the order of the paper."""
         cells = [Cell(scheme, n_images, self.n_members) for n_images in self.sizes for scheme in SCHEMES]
         return tuple(self.largest if cell.name == self.largest.name else cell for cell in cells)
 
     def ablation(self) -> tuple[Cell, ...]:
-        """Our scheme with one method left out."""
+        """Return the cells of the ablation: our scheme with one method left out."""
         return tuple(Cell("ours", self.sizes[-1], self.n_members_ablation, method) for method in self.left_out)
 
     def cells(self) -> tuple[Cell, ...]:
-        """All cells, in the order in which to work: ours first, the largest sets first, the ablation last."""
+        """Return all cells in the order of work: our scheme first, the largest sets first, the ablation last."""
         schemes = sorted(self.schemes(), key=lambda cell: (cell.scheme != "ours", -cell.n_images))
         return tuple(dict.fromkeys((self.largest, *schemes, *self.ablation())))

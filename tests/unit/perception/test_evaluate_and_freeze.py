@@ -1,4 +1,4 @@
-"""From members and folders of images to a report, and from there to a frozen ensemble that uses what was fitted."""
+"""Evaluating members on folders of images, and freezing them with the fitted temperature and threshold."""
 
 import dataclasses
 import shutil
@@ -54,7 +54,7 @@ def evaluate(members, sets, folder, **options):
     return evaluate_ensemble(members, sets[0], folder, EvaluationSettings(INFERENCE, SETTINGS), device="cpu", **options)
 
 
-def test_the_frozen_ensemble_uses_the_temperature_of_the_calibration_images(members, sets, tmp_path):
+def test_frozen_ensemble_uses_the_temperature_of_the_calibration_images(members, sets, tmp_path):
     folder = tmp_path / "report"
     report = evaluate(members, sets, folder, calibration_images=sets[1])
     assert CalibrationReport.load(folder) == report
@@ -63,7 +63,7 @@ def test_the_frozen_ensemble_uses_the_temperature_of_the_calibration_images(memb
     rgb = sets[0].read(0)[0]
     frozen = freeze_ensemble(members, folder, rgb, tmp_path)
     ensemble = load_ensemble(frozen)
-    temperature = report.recalibrated.temperature
+    temperature = report.calibrated.temperature
     assert ensemble.calibration.temperature == ensemble.temperature == temperature != 1.0
     mean = ensemble.member_p_occupied(rgb).mean(axis=0)
     odds = (mean / (1 - mean)) ** (1 / temperature)
@@ -79,13 +79,13 @@ def test_the_frozen_ensemble_uses_the_temperature_of_the_calibration_images(memb
 def test_without_calibration_images_the_test_images_are_cross_fitted(members, sets, tmp_path):
     report = evaluate(members, sets, tmp_path / "report")
     assert report.calibration_image_ids == ()
-    assert report.recalibrated.lowest < report.recalibrated.highest
+    assert report.calibrated.lowest_temperature < report.calibrated.highest_temperature
     assert "calibration_digest" not in read_json(tmp_path / "report" / "judged.json")
     with pytest.raises(SettingsError, match="other members"):
         freeze_ensemble(members[:1], tmp_path / "report", sets[0].read(0)[0], tmp_path)
 
 
-def test_an_image_in_both_sets_is_named_before_anything_is_written(members, sets, tmp_path):
+def test_an_image_in_both_sets_is_refused_before_anything_is_written(members, sets, tmp_path):
     mixed = tmp_path / "mixed"
     shutil.copytree(sets[1].items[0].image.parents[1], mixed)
     shutil.copyfile(sets[0].items[2].image, mixed / "images" / "x_3.png")

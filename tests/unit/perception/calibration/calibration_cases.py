@@ -1,11 +1,13 @@
-"""Synthetic members with the errors that real ones make: blurred borders, shared and own noise."""
+"""Synthetic labels and predictions with the errors of real members: blurred borders, shared and independent noise."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
+
 
 def synthetic_ensemble(n_images=6, n_members=3, shape=(48, 64), seed=0):
-    """Names, labels (H, W) of 0/255, predictions (M, H, W) float32; heights differ between images."""
+    """Labels (H, W) of 0/255 and predictions (M, H, W) float32; heights differ between images."""
     rng = np.random.default_rng(seed)
     names, labels, predictions = [], [], []
     for index in range(n_images):
@@ -20,4 +22,4 @@ def synthetic_ensemble(n_images=6, n_members=3, shape=(48, 64), seed=0):
         names.append(f"image_{index:02d}")
         labels.append(np.where(label, 255, 0).astype(np.uint8))
         predictions.append(p_occupied.astype(np.float32))
-    return names, labels, predictions
+    return LabeledPredictions(names, labels, predictions)

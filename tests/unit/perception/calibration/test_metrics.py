@@ -1,4 +1,4 @@
-"""Scores against closed forms, a pixel-by-pixel reference and invariants."""
+"""Scores: against closed forms, a loop over pixels, and invariants."""
 
 import math
 
@@ -8,12 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deltasafe.errors import SettingsError
-from deltasafe.perception.calibration.metrics import Scores, mean_and_sd, pool_scores, score_image
+from deltasafe.perception.calibration.metrics import (
+    Scores,
+    bootstrap_scores,
+    mean_and_sd,
+    pool_scores,
+    score_image,
+)
 
 
 def reference(images):
-    """PA, mIoU, BS, NLL straight from their definitions, one pixel after another."""
-    accuracies, ious, squared, surprise = [], [], [], []
+    """PA, mIoU, BS, NLL by their definitions, in a loop over pixels."""
+    accuracies, ious, squared, nll = [], [], [], []
     for p_occupied, label in images:
         right, inter, union = 0, [0, 0], [0, 0]
         for p, y in zip(p_occupied.astype(float).ravel().tolist(), label.ravel().tolist(), strict=True):
@@ -23,10 +29,10 @@ def reference(images):
                 inter[k] += predicted == k and y == k
                 union[k] += k in (predicted, y)
             squared.append((p - y) ** 2)
-            surprise.append(-math.log(min(max(p if y else 1 - p, 1e-7), 1 - 1e-7)))
+            nll.append(-math.log(min(max(p if y else 1 - p, 1e-7), 1 - 1e-7)))
         accuracies.append(right / label.size)
         ious.append(sum(i / u if u else 1.0 for i, u in zip(inter, union, strict=True)) / 2)
-    return [math.fsum(values) / len(values) for values in (accuracies, ious, squared, surprise)]
+    return [math.fsum(values) / len(values) for values in (accuracies, ious, squared, nll)]
 
 
 def random_images(seed, n_images=3):
@@ -49,31 +55,31 @@ def as_list(scores):
 
 
 @given(seed=st.integers(0, 10_000))
-def test_agrees_with_the_reference_on_images_of_different_sizes(seed):
+def test_scores_agree_with_a_loop_over_pixels(seed):
     images = random_images(seed)
     np.testing.assert_allclose(as_list(scores_of(images)), reference(images), rtol=0, atol=1e-9)
 
 
 @given(seed=st.integers(0, 10_000))
-def test_order_of_images_does_not_matter(seed):
+def test_scores_do_not_depend_on_the_order_of_images(seed):
     images = random_images(seed, 5)
     np.testing.assert_allclose(as_list(scores_of(images)), as_list(scores_of(images[::-1])), rtol=1e-12)
 
 
 @given(seed=st.integers(0, 10_000))
-def test_a_perfect_prediction_costs_nothing_and_its_opposite_everything(seed):
+def test_perfect_and_inverted_predictions_have_extreme_scores(seed):
     label = np.random.default_rng(seed).random((5, 6)) < 0.5
     assert as_list(scores_of([(label.astype(np.float32), label)])) == pytest.approx([1, 1, 0, 1e-7])
     wrong = scores_of([((~label).astype(np.float32), label)])
     assert as_list(wrong) == pytest.approx([0, 0, 1, -math.log(1e-7)])
 
 
-def test_closed_form_of_one_image():
+def test_scores_of_one_image_in_closed_form():
     p_occupied = np.array([[0.9, 0.2, 0.6, 0.1]])
     label = np.array([[True, True, False, False]])
     scores = score_image(p_occupied, label)
     assert scores.pixel_accuracy == 0.5
-    assert scores.miou == pytest.approx(1 / 3)  # either class: one pixel shared by both, three by one or both
+    assert scores.miou == pytest.approx(1 / 3)  # both classes: intersection 1, union 3
     assert scores.brier == pytest.approx((0.01 + 0.64 + 0.36 + 0.01) / 4)
     assert scores.nll == pytest.approx(-math.log(0.9 * 0.2 * 0.4 * 0.9) / 4)
     assert (scores.missed_hand_rate, scores.false_alarm_rate) == (0.5, 0.5)
@@ -85,7 +91,7 @@ def test_an_exact_half_counts_as_occupied():
     assert score_image(half, np.zeros((2, 2), bool)).pixel_accuracy == 0.0
 
 
-def test_images_without_a_hand_or_without_background():
+def test_images_without_hand_or_background_have_no_rate_of_that_class():
     empty = np.zeros((4, 5), bool)
     clean = score_image(np.full((4, 5), 0.1), empty)
     assert (clean.miou, clean.missed_hand_rate, clean.false_alarm_rate) == (1.0, None, 0.0)
@@ -95,22 +101,22 @@ def test_images_without_a_hand_or_without_background():
     assert score_image(np.full((4, 5), 0.9), ~empty).false_alarm_rate is None
 
 
-def test_mean_iou_averages_images_and_brier_averages_pixels():
+def test_miou_is_a_mean_over_images_and_brier_over_pixels():
     small = score_image(np.array([[1.0]]), np.array([[False]]))
     large = score_image(np.zeros((3, 3)), np.zeros((3, 3), bool))
     scores = pool_scores([small, large])
     assert scores.miou == 0.5
     assert scores.brier == pytest.approx(0.1)
-    assert pool_scores([small, large], [0, 2]).brier == 0.0
+    assert bootstrap_scores([small, large], np.array([[1, 1], [0, 2]]))[:, 2] == pytest.approx([0.1, 0.0])
 
 
-def test_float32_is_summed_in_float64():
+def test_float32_is_accumulated_in_float64():
     p_occupied = np.full((2000, 2000), 0.1, np.float32)
     exact = float(np.float32(0.1)) ** 2
     assert abs(score_image(p_occupied, np.zeros((2000, 2000), bool)).brier - exact) < 1e-12
 
 
-def test_sd_is_that_of_a_sample_and_undefined_for_one_member():
+def test_sd_is_the_sample_sd_and_none_for_one_member():
     members = [Scores(0.9, 0.8, 0.1, 0.3), Scores(0.7, 0.8, 0.2, 0.1)]
     result = mean_and_sd(members)
     assert result.n == 2
@@ -119,7 +125,7 @@ def test_sd_is_that_of_a_sample_and_undefined_for_one_member():
     assert mean_and_sd(members[:1]).sd is None
 
 
-def test_masks_of_0_and_255_and_of_0_and_1_are_the_same():
+def test_masks_of_0_1_and_0_255_are_equivalent():
     p_occupied = np.array([[0.8, 0.3]])
     for high in (1, 255):
         label = np.array([[high, 0]], np.uint8)
@@ -138,12 +144,12 @@ def test_masks_of_0_and_255_and_of_0_and_1_are_the_same():
         (np.zeros((0, 2)), np.zeros((0, 2), bool), r"\(H, W\)"),
     ],
 )
-def test_bad_input_is_refused(p_occupied, label, match):
+def test_invalid_predictions_and_labels_are_refused(p_occupied, label, match):
     with pytest.raises(SettingsError, match=match):
         score_image(p_occupied, label)
 
 
-def test_no_image_and_no_member_are_refused():
+def test_empty_sets_of_images_and_members_are_refused():
     with pytest.raises(SettingsError, match="at least one image"):
         pool_scores([])
     with pytest.raises(SettingsError, match="at least one member"):

@@ -1,4 +1,4 @@
-"""Colors of the overlays stand where the errors are."""
+"""The overlays color exactly the misclassified pixels."""
 
 import numpy as np
 import pytest
@@ -13,28 +13,28 @@ LABEL[3:9, 4:12] = True
 IMAGE = np.full((12, 16, 3), 120, np.uint8)
 
 
-def test_errors_are_where_they_are():
+def test_misclassified_pixels_have_the_color_of_their_error():
     p_occupied = np.where(LABEL, 0.9, 0.1)
     p_occupied[3, 4] = 0.3  # missed
-    p_occupied[4, 4] = 0.05  # missed, and free for a planner with delta = 0.05
-    p_occupied[0, 0] = 0.5  # false alarm: an exact half is occupied
+    p_occupied[4, 4] = 0.05  # missed, and free at delta = 0.05
+    p_occupied[0, 0] = 0.5  # false alarm: an exact 0.5 is predicted occupied
     figure = overlay_figure([Overlay("a", IMAGE, LABEL, p_occupied)], delta=0.05)
-    photograph, heat, errors = (axes.get_images()[0].get_array() for axes in figure.axes[:3])
-    np.testing.assert_array_equal(photograph, IMAGE)
+    image, heat, errors = (axes.get_images()[0].get_array() for axes in figure.axes[:3])
+    np.testing.assert_array_equal(image, IMAGE)
     np.testing.assert_array_equal(heat, p_occupied)
     colors = {
         (3, 4): overlays._MISS,
         (4, 4): overlays._CONFIDENT_MISS,
         (0, 0): overlays._FALSE_ALARM,
     }
-    for place, color in colors.items():
-        np.testing.assert_allclose(errors[place], to_rgb(color))
+    for pixel, color in colors.items():
+        np.testing.assert_allclose(errors[pixel], to_rgb(color))
     gray = np.ptp(errors, axis=2) == 0
     assert (~gray).sum() == 3
     assert "missed 4.2% of the hand, false alarms 0.7%" in [a.get_title(loc="left") for a in figure.axes]
 
 
-def test_images_of_any_size_and_without_a_hand_are_drawn(tmp_path):
+def test_images_of_any_size_and_without_a_hand_can_be_drawn(tmp_path):
     empty = np.zeros((20, 9), bool)
     rows = [
         Overlay("a", IMAGE, LABEL, np.where(LABEL, 0.9, 0.1)),
@@ -48,7 +48,7 @@ def test_images_of_any_size_and_without_a_hand_are_drawn(tmp_path):
     assert "missed 100.0% of the hand" in titles
 
 
-def test_what_does_not_fit_together_is_refused():
+def test_missing_images_and_images_of_other_size_are_refused():
     with pytest.raises(SettingsError, match="at least one image"):
         overlay_figure([])
     with pytest.raises(SettingsError, match="image of a must be uint8"):

@@ -1,4 +1,4 @@
-"""The paper's tables against their printed form, and the proof that the headings of Table II are swapped."""
+"""The paper's results equal the printed tables, and the printed headings of Table II are swapped."""
 
 import json
 import pathlib
@@ -18,7 +18,7 @@ PRINTED = json.loads(
 )
 
 
-def test_tables_1_and_2_are_the_printed_ones_with_the_headings_of_table_2_swapped():
+def test_tables_1_and_2_equal_the_print_with_swapped_headings():
     for ours, one, two in zip(
         AUGMENTATION_RESULTS, PRINTED["table_1"]["rows"], PRINTED["table_2"]["rows"], strict=True
     ):
@@ -28,13 +28,13 @@ def test_tables_1_and_2_are_the_printed_ones_with_the_headings_of_table_2_swappe
         assert [1000 * ours.brier, 100 * ours.nll] == pytest.approx(two[2:])
 
 
-def test_table_3_is_the_printed_one():
+def test_table_3_equals_the_print():
     brier, nll = np.transpose([ENSEMBLE_SIZE_RESULTS[m] for m in range(1, 11)])
     np.testing.assert_allclose(1000 * brier, PRINTED["table_3"]["BS x 10^3"])
     np.testing.assert_allclose(100 * nll, PRINTED["table_3"]["NLL x 10^2"])
 
 
-def test_printed_headings_break_the_bound_of_the_brier_score_and_swapped_ones_do_not():
+def test_printed_headings_violate_the_brier_bound_and_swapped_ones_do_not():
     bound = [(1 - row[2] / 100) / 4 for row in PRINTED["table_1"]["rows"]]
     as_printed = [row[3] / 1000 for row in PRINTED["table_2"]["rows"]]
     swapped = [row[2] / 1000 for row in PRINTED["table_2"]["rows"]]
@@ -47,23 +47,23 @@ def test_printed_headings_break_the_bound_of_the_brier_score_and_swapped_ones_do
     assert all(brier >= least for brier, least in zip(swapped, bound, strict=True))
 
 
-def test_ours_at_1000_images_is_the_ensemble_of_ten():
+def test_row_ours_1000_equals_the_ensemble_of_ten():
     ours = AUGMENTATION_RESULTS[-1]
     assert (ours.brier, ours.nll) == ENSEMBLE_SIZE_RESULTS[10]
 
 
-def test_the_bound_holds_for_any_prediction():
+def test_brier_bound_holds_for_random_predictions():
     rng = np.random.default_rng(3)
     for _ in range(30):
         p_occupied = rng.beta(0.3, 0.3, size=(7, 9))
         label = rng.random((7, 9)) < rng.random()
         scores = pool_scores([score_image(p_occupied, label)])
         assert scores.brier >= (1 - scores.pixel_accuracy) / 4
-    wrong_by_a_hair = pool_scores([score_image(np.full((4, 4), 0.5), np.zeros((4, 4), bool))])
-    assert wrong_by_a_hair.brier == (1 - wrong_by_a_hair.pixel_accuracy) / 4
+    at_threshold = pool_scores([score_image(np.full((4, 4), 0.5), np.zeros((4, 4), bool))])
+    assert at_threshold.brier == (1 - at_threshold.pixel_accuracy) / 4
 
 
-def test_figure_4_supports_what_decision_5_says():
+def test_figure_4_has_the_values_cited_by_decision_5():
     confidence, accuracy = RELIABILITY_RESULTS[10]
     assert (round(confidence[-1], 3), round(accuracy[-1], 3)) == (0.999, 0.990)
     confidence, accuracy = RELIABILITY_RESULTS[5]

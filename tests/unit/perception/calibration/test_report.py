@@ -1,6 +1,5 @@
-"""The report as a folder: what is written is what is read, and the gate before the freeze."""
+"""The report as a folder, its text, and the gate before the freeze."""
 
-import base64
 import dataclasses
 import re
 
@@ -18,37 +17,36 @@ from deltasafe.perception.calibration.report import (
     gate,
 )
 from deltasafe.perception.calibration.report_text import report_markdown
-from deltasafe.perception.calibration.write_report import inline_pictures, write_calibration_report
+from deltasafe.perception.calibration.write_report import write_calibration_report
 from tests.unit.perception.calibration.calibration_cases import synthetic_ensemble
 
-NAMES, LABELS, PREDICTIONS = synthetic_ensemble()
+IMAGES = synthetic_ensemble()
+LABELS, PREDICTIONS = IMAGES.labels, IMAGES.predictions
 
 
 @pytest.fixture(scope="module")
 def report():
-    return evaluate(NAMES, LABELS, PREDICTIONS, CalibrationSettings(n_bootstrap=300))
+    return evaluate(IMAGES, CalibrationSettings(n_bootstrap=300))
 
 
 def photograph(name):
-    shape = LABELS[NAMES.index(name)].shape
+    shape = LABELS[IMAGES.image_ids.index(name)].shape
     return np.random.default_rng(1).integers(0, 255, size=(*shape, 3), dtype=np.uint8)
 
 
 @pytest.fixture(scope="module")
 def folder(report, tmp_path_factory):
     destination = tmp_path_factory.mktemp("calibration") / "report"
-    path = write_calibration_report(
-        destination, report, labels=LABELS, predictions=PREDICTIONS, load_image=photograph, n_examples=2
-    )
+    path = write_calibration_report(destination, report, IMAGES, photograph, n_examples=2)
     assert path == destination / "report.md"
     return destination
 
 
-def test_what_is_written_is_what_is_loaded(report, folder):
+def test_loaded_report_equals_the_written_one(report, folder):
     assert CalibrationReport.load(folder) == report
 
 
-def test_every_picture_is_linked_and_every_link_is_a_picture(folder):
+def test_every_picture_is_linked_and_every_link_has_a_picture(folder):
     text = (folder / "report.md").read_text("utf-8")
     linked = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)
     assert sorted([*linked, "report.json", "report.md"]) == sorted(path.name for path in folder.iterdir())
@@ -57,14 +55,14 @@ def test_every_picture_is_linked_and_every_link_is_a_picture(folder):
         assert (folder / name).read_bytes().startswith(signatures[(folder / name).suffix])
 
 
-def test_the_text_states_what_a_reader_must_know(report, folder):
+def test_text_states_the_figures_of_the_report(report, folder):
     text = (folder / "report.md").read_text("utf-8")
     scores = report.final.predictor.scores
     worst, best = (report.image_ids[report.worst_first[i]] for i in (0, -1))
     stated = (
         f"**{scores.miou:.4f}**",
         f"**{scores.nll:.4f}**",
-        f"T = {report.recalibrated.temperature:.3f}",
+        f"T = {report.calibrated.temperature:.3f}",
         f"support is {report.smallest_supported_delta:g}",
         f"`{worst}`",
         f"`{best}`",
@@ -73,65 +71,49 @@ def test_the_text_states_what_a_reader_must_know(report, folder):
         "0.114",
         "1e-7",
         "nor of a whole motion",
-        "under-confident" if report.as_it_is.predictor.errors.signed_high < 0 else "confident",
+        "**under-confident**",
         f"{report.final.predictor.errors.signed:+.4f}",
-        f"{report.final.held_out_delta.occupied_share:.3%}",
+        f"{report.final.held_out_delta.occupied_fraction:.3%}",
         f"1 / (6 + 1) = {1 / 7:.2%}",
-        "Every image is judged with a T that was fitted without it",
-        f"`{report.image_ids[report.most_missed_first[0]]}`",
+        "Each image is evaluated with a T fitted without it",
+        f"`{report.image_ids[next(iter(report.missed_hand_rates))]}`",
     )
     assert [part for part in stated if part not in text] == []
     for table in re.findall(r"(?:^\|.*\n)+", text, flags=re.M):
         assert len({line.count("|") for line in table.splitlines()}) == 1
 
 
-def test_without_photographs_there_are_no_overlays_and_no_dead_links(report, tmp_path):
-    write_calibration_report(tmp_path / "r", report, labels=LABELS, predictions=PREDICTIONS)
+def test_report_without_images_has_no_overlays_and_no_dead_links(report, tmp_path):
+    write_calibration_report(tmp_path / "r", report, IMAGES)
     assert not list((tmp_path / "r").glob("*.jpg"))
     assert ".jpg" not in (tmp_path / "r" / "report.md").read_text("utf-8")
 
 
-def test_inlined_pictures_are_the_pictures(folder):
-    text = inline_pictures(folder / "report.md", limit_bytes=4_000_000)
-    data = re.findall(r"\(data:image/(?:png|jpeg);base64,([^)]+)\)", text)
-    assert {base64.b64decode(item) for item in data} == {
-        path.read_bytes() for path in folder.iterdir() if path.suffix in (".png", ".jpg")
-    }
-    assert len(inline_pictures(folder / "report.md").encode()) <= 1_000_000
-
-
-def test_a_small_limit_leaves_pictures_out_and_says_so(folder):
-    text = inline_pictures(folder / "report.md", limit_bytes=20_000)
-    assert "base64" not in text
-    assert "see `reliability.png` in the report's folder" in text
-    with pytest.raises(DataError, match="missing"):
-        inline_pictures(folder / "other.md")
-
-
-def test_a_failure_leaves_the_old_report_in_place(report, folder):
+def test_failed_write_keeps_the_old_report(report, folder):
     def broken(name):
         raise OSError("no such photograph")
 
     before = sorted(folder.iterdir())
     with pytest.raises(OSError, match="no such photograph"):
-        write_calibration_report(folder, report, labels=LABELS, predictions=PREDICTIONS, load_image=broken)
+        write_calibration_report(folder, report, IMAGES, broken)
     assert sorted(folder.iterdir()) == before
     assert CalibrationReport.load(folder) == report
-    with pytest.raises(SettingsError, match="6 images, got 5 labels"):
-        write_calibration_report(folder, report, labels=LABELS[:5], predictions=PREDICTIONS)
+    fewer = LabeledPredictions(IMAGES.image_ids[:5], LABELS[:5], PREDICTIONS[:5])
+    with pytest.raises(SettingsError, match=r"6 images, got .* of 5 others"):
+        write_calibration_report(folder, report, fewer)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
-        ('"format_version": 2', '"format_version": 99', "format version 99"),
+        ('"format_version": 3', '"format_version": 99', "format version 99"),
         ('"n_bootstrap": 300', '"n_bootstrap": "300"', "expected int"),
         ('"n_bootstrap": 300', '"surplus": 300', "surplus"),
         ('"image_ids"', '"names"', "names"),
         ("{", "[", "JSON"),
     ],
 )
-def test_damaged_reports_are_refused(folder, tmp_path, old, new, match):
+def test_damaged_and_older_reports_are_refused(folder, tmp_path, old, new, match):
     with pytest.raises(DataError, match="missing"):
         CalibrationReport.load(tmp_path)
     text = (folder / "report.json").read_text()
@@ -141,7 +123,7 @@ def test_damaged_reports_are_refused(folder, tmp_path, old, new, match):
         CalibrationReport.load(tmp_path)
 
 
-def test_the_gate_opens_at_the_thresholds_and_closes_above(report):
+def test_gate_passes_at_the_thresholds_and_fails_beyond_each(report):
     scores = report.final.predictor.scores
     delta = report.smallest_supported_delta
     worst = max(image.missed_hand_rate for image in report.images)
@@ -160,10 +142,10 @@ def test_the_gate_opens_at_the_thresholds_and_closes_above(report):
         assert word in failures[0]
 
 
-def test_the_gate_is_closed_when_no_delta_is_supported(report):
+def test_gate_fails_without_a_supported_delta(report):
     unsupported = tuple(dataclasses.replace(row, supported=False) for row in report.final.support)
-    judgment = dataclasses.replace(report.final, support=unsupported)
-    failures = gate(dataclasses.replace(report, recalibrated=judgment), GateThresholds(0.0, 0.0))
+    result = dataclasses.replace(report.final, support=unsupported)
+    failures = gate(dataclasses.replace(report, calibrated=result), GateThresholds(0.0, 0.0))
     assert failures == ["the images support no delta, planning needs 0.05"]
 
 
@@ -189,36 +171,44 @@ def test_thresholds_outside_their_domain_are_refused():
         GateThresholds(miou=80.0)
 
 
-def test_the_text_says_where_the_calibration_images_are_and_what_is_used():
-    names, labels, predictions = synthetic_ensemble(n_images=4, seed=9)
+def test_text_names_the_calibration_set_and_an_unused_temperature():
     settings = CalibrationSettings(n_bootstrap=100, recalibrate=False)
-    further = LabeledPredictions(names, labels, predictions)
-    text = report_markdown(evaluate(NAMES, LABELS, PREDICTIONS, settings, calibration=further), [])
-    assert "fitted on **4 further images** and judged on these 6" in text
-    assert "as it is, with T = 1" in text
-    assert "recalibrated by a temperature" not in text
-    alone = report_markdown(evaluate(NAMES[:1], LABELS[:1], PREDICTIONS[:1], settings), [])
-    assert "One image is too few to fit anything" in alone
-    assert "no part of the images" not in alone
+    further = synthetic_ensemble(n_images=4, seed=9)
+    text = report_markdown(evaluate(IMAGES, settings, further), [])
+    assert "fitted on **4 further images** and evaluated on these 6" in text
+    assert "uncalibrated, with T = 1" in text
+    assert "calibrated by a temperature" not in text
+    single = LabeledPredictions(IMAGES.image_ids[:1], LABELS[:1], PREDICTIONS[:1])
+    alone = report_markdown(evaluate(single, settings), [])
+    assert "No temperature was fitted" in alone
+    assert "no fit supports a delta" not in alone
 
 
-def test_examples_show_every_way_to_fail(report):
-    chosen = report.worst_examples(3, 0.05)
+def test_examples_contain_the_worst_image_of_every_ranking(report):
+    chosen = report.worst_examples(3)
     assert len(set(chosen)) == 3
     assert chosen[0] == report.worst_first[0]
-    assert report.most_missed_first[0] in chosen
-    taken = [shares[DELTA_GRID.index(0.05)] for shares in report.final.taken_for_free]
-    assert int(np.argmax(taken)) in chosen
-    assert report.worst_examples(100, 0.9)[0] == report.worst_first[0]
-    assert sorted(report.worst_examples(100, 0.9)) == list(range(6))
+    rates = [image.missed_hand_rate for image in report.images]
+    assert int(np.argmax(rates)) in chosen
+    at_delta = [fractions[DELTA_GRID.index(0.05)] for fractions in report.final.missed_at_delta]
+    assert int(np.argmax(at_delta)) in chosen
+    assert sorted(report.worst_examples(100)) == list(range(6))
 
 
-def test_most_missed_images_come_first_and_images_without_a_hand_not_at_all():
+@pytest.mark.parametrize(("planning_delta", "grid_delta"), [(0.05, 0.05), (0.04, 0.05), (1e-5, 1e-4), (0.9, 0.5)])
+def test_planning_delta_is_rounded_up_within_the_grid(report, planning_delta, grid_delta):
+    settings = dataclasses.replace(report.settings, planning_delta=planning_delta)
+    missed = dataclasses.replace(report, settings=settings).missed_at_planning_delta
+    column = DELTA_GRID.index(grid_delta)
+    assert missed == {i: row[column] for i, row in enumerate(report.final.missed_at_delta)}
+
+
+def test_missed_hands_are_sorted_and_images_without_a_hand_left_out():
     labels = [*LABELS[:3], np.zeros_like(LABELS[3])]
-    report = evaluate(NAMES[:4], labels, PREDICTIONS[:4], CalibrationSettings(n_bootstrap=100))
-    order = report.most_missed_first
-    assert sorted(order) == [0, 1, 2]
-    rates = [report.images[i].missed_hand_rate for i in order]
-    assert rates == sorted(rates, reverse=True)
-    assert report.final.taken_for_free[3] is None
+    images = LabeledPredictions(IMAGES.image_ids[:4], labels, PREDICTIONS[:4])
+    report = evaluate(images, CalibrationSettings(n_bootstrap=100))
+    missed = report.missed_hand_rates
+    assert missed == {i: report.images[i].missed_hand_rate for i in range(3)}
+    assert list(missed.values()) == sorted(missed.values(), reverse=True)
+    assert report.final.missed_at_delta[3] is None
     assert report.risk_control.n_images == 3

@@ -1,4 +1,4 @@
-"""The studies: which cells there are, equal numbers of steps, nothing done twice."""
+"""The studies: the cells, equal numbers of steps, and reuse of finished work."""
 
 import dataclasses
 import pathlib
@@ -15,12 +15,12 @@ from deltasafe.perception.data.augmentation import AugmentationSettings
 from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.schemes import SCHEMES, CutoutSettings, MixupSettings
+from deltasafe.perception.inference.predictions import MemberPredictions
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
 from deltasafe.perception.training.train_member import train_member, training_identity
 from deltasafe.presets import PRESETS
 from deltasafe.studies.perception import Cell, StudySettings
 from deltasafe.studies.perception import study as module
-from deltasafe.studies.perception.store import StudyStore
 from deltasafe.studies.perception.study import Study
 
 DATASETS = pathlib.Path(__file__).parents[4] / "datasets"
@@ -47,7 +47,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
         train=first_hands("train", 3, root / "train"),
         test=first_hands("test", 2, root / "test"),
         backgrounds=None,
-        store=StudyStore(root / "home"),
+        home=root / "home",
         device="cpu",
         workers=1,
     )
@@ -55,7 +55,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
 
 @pytest.fixture
 def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the members that are trained: in this process, which is quicker for six steps."""
+    """Names of the trained members; trains in this process, which is faster for six steps."""
     names: list[str] = []
 
     def train_here(jobs, data, settings, *, device, workers, on_step, executor):
@@ -67,7 +67,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
-def test_the_cells_are_those_of_the_paper_and_ours_comes_first() -> None:
+def test_cells_are_those_of_the_paper_and_ours_comes_first() -> None:
     cells = StudySettings().cells()
     assert len(cells) == 10 + 8
     assert len({cell.name for cell in cells}) == 18
@@ -79,7 +79,7 @@ def test_the_cells_are_those_of_the_paper_and_ours_comes_first() -> None:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_every_cell_of_every_preset_takes_the_same_number_of_steps(preset: str, study: Study) -> None:
+def test_every_cell_of_a_preset_takes_the_same_number_of_steps(preset: str, study: Study) -> None:
     chosen = PRESETS[preset]
     whole = dataclasses.replace(study, settings=chosen.study, training=chosen.training)
     for cell in chosen.study.cells():
@@ -88,7 +88,7 @@ def test_every_cell_of_every_preset_takes_the_same_number_of_steps(preset: str, 
     assert whole.training_settings(chosen.study.largest) == chosen.training
 
 
-def test_comparisons_may_have_a_lighter_recipe_and_table_3_keeps_that_of_the_preset(study: Study) -> None:
+def test_lighter_recipe_applies_to_comparisons_but_not_to_table_3(study: Study) -> None:
     settings = StudySettings(sizes=(300, 1500), comparison_width=96, comparison_epochs=1)
     cells = settings.cells()
     assert cells[0].name == settings.largest.name == "ours-1500-full"
@@ -102,9 +102,9 @@ def test_comparisons_may_have_a_lighter_recipe_and_table_3_keeps_that_of_the_pre
     sizes = {cell: lighter.scheme_settings(cell) for cell in cells if not cell.left_out}
     assert (sizes[settings.largest].width, sizes[settings.largest].height) == (128, 96)
     assert {(made.width, made.height) for cell, made in sizes.items() if not cell.full} == {(96, 72)}
-    looks = dataclasses.replace(lighter, inference=InferenceSettings(160, 120))
-    assert looks.inference_settings(settings.largest) == InferenceSettings(160, 120)
-    assert {looks.inference_settings(cell) for cell in cells if not cell.full} == {InferenceSettings(120, 90)}
+    larger = dataclasses.replace(lighter, inference=InferenceSettings(160, 120))
+    assert larger.inference_settings(settings.largest) == InferenceSettings(160, 120)
+    assert {larger.inference_settings(cell) for cell in cells if not cell.full} == {InferenceSettings(120, 90)}
 
 
 @given(st.integers(1, 9), st.integers(2, 16), st.integers(1, 30), st.integers(1, 12), st.booleans())
@@ -126,7 +126,7 @@ def test_smaller_sets_get_more_epochs_or_are_refused(
     )
 
 
-def test_every_scheme_makes_exactly_the_images_of_its_cell(study: Study) -> None:
+def test_every_scheme_makes_the_number_of_images_of_its_cell(study: Study) -> None:
     for cell in study.settings.cells():
         made = study.scheme_settings(cell)
         assert made.n_variants * len(study.train) == cell.n_images
@@ -139,63 +139,69 @@ def test_every_scheme_makes_exactly_the_images_of_its_cell(study: Study) -> None
         study.scheme_settings(Cell("cutout", 7, 1))
 
 
-def test_a_cell_is_made_once_and_a_larger_ensemble_adds_to_it(
+def test_cell_is_computed_once_and_a_larger_ensemble_reuses_its_members(
     study: Study, trained: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell = Cell("mixup", 6, 2)
     assert study.find(cell) is None
     assert study.steps_left(cell) == 2 * 6
-    report = study.judge(cell)
+    report = study.evaluate(cell)
     assert trained == ["mixup-6/0", "mixup-6/1"]
     assert {len(member.losses) for member in study.find_members(cell)} == {6}
     assert (report.n_members, len(report.image_ids), study.steps_left(cell)) == (2, 2, 0)
-    assert study.judge(cell) == study.find(cell)
+    assert study.evaluate(cell) == study.find(cell)
     assert trained == ["mixup-6/0", "mixup-6/1"]
 
-    asked: list[str] = []
-    ensemble = module.Ensemble
+    predicted: list[int] = []
+    write = MemberPredictions.write
 
-    def counted(networks, *rest):
-        asked.append(f"{len(networks)} member")
-        return ensemble(networks, *rest)
+    def counted(folder, image_ids, predict, progress):
+        predicted.append(len(image_ids))
+        return write(folder, image_ids, predict, progress)
 
-    monkeypatch.setattr(module, "Ensemble", counted)
-    larger = study.judge(Cell("mixup", 6, 3))
+    monkeypatch.setattr(MemberPredictions, "write", counted)
+    larger = study.evaluate(Cell("mixup", 6, 3))
     assert trained[2:] == ["mixup-6/2"]
-    assert asked == ["1 member"], "members that were asked before are not asked again"
+    assert predicted == [2], "only the new member predicts the two test images"
     assert larger.ensembles[1].scores == report.ensembles[1].scores
     assert larger.members[:2] == report.members
 
 
-def test_stacked_predictions_are_those_of_the_ensemble(study: Study, trained: list[str]) -> None:
+def test_stacked_predictions_equal_those_of_the_ensemble(study: Study, trained: list[str]) -> None:
     cell = Cell("mixup", 6, 2)
-    study.judge(cell)
+    study.evaluate(cell)
     members = study.members(cell)
     stacked = study.predictions(cell, members)
     ensemble = module.Ensemble([member.network() for member in members], study.inference)
     assert len(stacked) == 2
-    for index, seen in enumerate(stacked):
-        np.testing.assert_allclose(seen, ensemble.member_p_occupied(study.test.read(index)[0]), atol=1e-6)
-    assert [seen.shape for seen in stacked[0:2]] == [(2, *study.test.read(i)[1].shape) for i in range(2)]
+    for index in range(2):
+        image, mask = study.test.read(index)
+        assert stacked[index].shape == (2, *mask.shape)
+        np.testing.assert_allclose(stacked[index], ensemble.member_p_occupied(image), atol=1e-6)
 
 
-def test_what_the_chain_has_trained_is_found(study: Study, trained: list[str], tmp_path: pathlib.Path) -> None:
-    """The chain makes its own copy of the set and names members by their identity; the study shares the members."""
+def test_members_of_the_chain_are_reused(study: Study, trained: list[str], tmp_path: pathlib.Path) -> None:
+    """The chain has its own copy of the augmented set, and stores members by identity."""
     ours = dataclasses.replace(study.augmentation, n_variants=4)
     data = augment_images(study.train, tmp_path / "chain", ours, workers=1)
     identity = training_identity(data, study.training, seed=0)
-    train_member(data, study.training, 0, study.store.home / "ensemble_member" / identity[:16], device="cpu")
-    study.judge(Cell("ours", 12, 2))
+    train_member(data, study.training, 0, study.home / "ensemble_member" / identity[:16], device="cpu")
+    study.evaluate(Cell("ours", 12, 2))
     assert trained == ["ours-12/1"]
 
 
-def test_finished_cells_are_found_without_any_work(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finished_cells_are_listed_without_computing(
+    study: Study, trained: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study.evaluate(Cell("mixup", 6, 2))
+
     def refuse(*arguments, **named):
         raise AssertionError("nothing is to be computed")
 
-    for name in ("augment_images", "train_members", "calibrate", "Ensemble"):
+    for name in ("train_members", "evaluate"):
         monkeypatch.setattr(module, name, refuse)
-    assert "cutout-6" not in study.finished()
+    monkeypatch.setattr(MemberPredictions, "write", refuse)
+    assert set(study.finished()) == {"mixup-6"}
     other = dataclasses.replace(study, inference=InferenceSettings(96, 64))
     assert other.finished() == {}
 
@@ -203,8 +209,8 @@ def test_finished_cells_are_found_without_any_work(study: Study, monkeypatch: py
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ({"sizes": (1000, 200)}, "rising"),
-        ({"sizes": ()}, "rising"),
+        ({"sizes": (1000, 200)}, "ascending"),
+        ({"sizes": ()}, "ascending"),
         ({"n_members": 11}, "n_members must lie in"),
         ({"n_members_ablation": 6}, "n_members_ablation must lie in"),
         ({"left_out": ("shadow",)}, "left_out is 'shadow'"),
@@ -216,7 +222,7 @@ def test_settings_outside_their_domain_are_refused(value: dict[str, object], mes
         StudySettings(**value)
 
 
-def test_a_cell_of_no_scheme_is_refused() -> None:
+def test_cells_of_unknown_schemes_and_methods_are_refused() -> None:
     with pytest.raises(SettingsError, match="choose one of cutout"):
         Cell("cutmix", 200, 5)
     with pytest.raises(SettingsError, match="only our scheme has methods"):

@@ -1,4 +1,4 @@
-"""Tables I and II and the ablation: the arithmetic, whom the bootstrap favors, and what is said while cells miss."""
+"""Tables I and II and the ablation: scores, paired bootstrap, and reports with missing cells."""
 
 import dataclasses
 import json
@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from deltasafe.perception.calibration.evaluation import evaluate
+from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
 from deltasafe.perception.calibration.paper_results import AUGMENTATION_RESULTS
 from deltasafe.perception.calibration.reliability import bootstrap_weights
 from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
 from deltasafe.studies.perception import StudySettings
 from deltasafe.studies.perception.report import study_values, write_study
-from deltasafe.studies.perception.tables import ablation_rows, best_everywhere, missing_cells, scheme_rows
+from deltasafe.studies.perception.tables import ablation_rows, missing_cells, ours_is_best, scheme_rows
 
 SETTINGS = StudySettings(n_members=2, n_members_most=3, n_members_ablation=2, left_out=("flip", "noise"))
 CALIBRATION = CalibrationSettings(n_bootstrap=100)
@@ -21,13 +22,13 @@ N = 5
 
 
 def report(noise: float, n_members: int = 3, seed: int = 0) -> CalibrationReport:
-    """Of members that see hands the more blurred, the larger ``noise`` is."""
+    """The report of members whose logits have Gaussian noise of scale ``noise``."""
     rng = np.random.default_rng(seed)
     masks = [rng.random((12, 16)) < 0.3 + 0.1 * k for k in range(N)]
     draws = np.random.default_rng(seed + 1).normal(size=(N, n_members, 12, 16))
     logits = [4.0 * (2 * mask - 1) + noise * draws[k] for k, mask in enumerate(masks)]
     stacks = [(1 / (1 + np.exp(-values))).astype(np.float32) for values in logits]
-    return evaluate([f"image_{k}" for k in range(N)], masks, stacks, CALIBRATION)
+    return evaluate(LabeledPredictions([f"image_{k}" for k in range(N)], masks, stacks), CALIBRATION)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def reports() -> dict[str, CalibrationReport]:
     return {cell.name: ours if cell.scheme == "ours" and not cell.left_out else others for cell in SETTINGS.cells()}
 
 
-def test_rows_hold_the_first_members_and_their_ensemble(reports) -> None:
+def test_rows_have_the_scores_of_the_first_members_and_their_mean(reports) -> None:
     rows = scheme_rows(SETTINGS, reports)
     assert [(row.cell.n_images, row.cell.scheme) for row in rows] == [
         (printed.n_images, printed.scheme) for printed in AUGMENTATION_RESULTS
@@ -52,12 +53,12 @@ def test_rows_hold_the_first_members_and_their_ensemble(reports) -> None:
         assert row.paper == next(
             p for p in AUGMENTATION_RESULTS if (p.scheme, p.n_images) == (row.cell.scheme, row.cell.n_images)
         )
-        assert row.compared.pixel_accuracy == row.members.mean.pixel_accuracy
-        assert row.compared.nll == row.ensemble.nll
+        assert row.table_scores.pixel_accuracy == row.members.mean.pixel_accuracy
+        assert row.table_scores.nll == row.ensemble.nll
 
 
-def test_the_lead_is_a_paired_bootstrap_over_images(reports) -> None:
-    """Against copies of images, drawn and pooled one by one."""
+def test_lead_is_a_paired_bootstrap_over_images(reports) -> None:
+    """Against scores pooled over explicitly repeated images."""
     row = next(row for row in scheme_rows(SETTINGS, reports) if row.cell.name == "mixup-200")
     ours, other = reports["ours-200"], reports["mixup-200"]
     leads = []
@@ -73,17 +74,17 @@ def test_the_lead_is_a_paired_bootstrap_over_images(reports) -> None:
     assert all(r.lead_low is None for r in scheme_rows(SETTINGS, reports) if r.cell.scheme == "ours")
 
 
-def test_ours_is_best_only_if_it_is_so_everywhere(reports) -> None:
-    assert best_everywhere(scheme_rows(SETTINGS, reports), SETTINGS) is True
+def test_ours_is_best_only_if_it_wins_in_every_cell(reports) -> None:
+    assert ours_is_best(scheme_rows(SETTINGS, reports), SETTINGS) is True
     better_once = {**reports, "cutout-200": report(1.0)}
-    assert best_everywhere(scheme_rows(SETTINGS, better_once), SETTINGS) is False
+    assert ours_is_best(scheme_rows(SETTINGS, better_once), SETTINGS) is False
     tie = {**reports, "cutout-200": reports["ours-200"]}
-    assert best_everywhere(scheme_rows(SETTINGS, tie), SETTINGS) is False
+    assert ours_is_best(scheme_rows(SETTINGS, tie), SETTINGS) is False
     missing = {name: value for name, value in reports.items() if name != "cutout-200"}
-    assert best_everywhere(scheme_rows(SETTINGS, missing), SETTINGS) is None
+    assert ours_is_best(scheme_rows(SETTINGS, missing), SETTINGS) is None
 
 
-def test_leaving_out_what_helps_is_a_loss_in_all_four(reports) -> None:
+def test_leaving_out_a_helpful_method_is_a_loss_in_all_measures(reports) -> None:
     rows = ablation_rows(SETTINGS, reports)
     assert [row.cell.left_out for row in rows] == ["flip", "noise"]
     whole, without = reports["ours-1000"], reports["ours-1000-without-flip"]
@@ -95,7 +96,7 @@ def test_leaving_out_what_helps_is_a_loss_in_all_four(reports) -> None:
     assert ablation_rows(SETTINGS, alone)[0].loss is None
 
 
-def test_the_report_shows_what_is_finished_and_names_what_is_missing(reports, tmp_path: pathlib.Path) -> None:
+def test_report_shows_finished_cells_and_names_missing_ones(reports, tmp_path: pathlib.Path) -> None:
     text = write_study(tmp_path / "all", SETTINGS, reports).read_text()
     assert "Not finished" not in text
     assert "beats every other in all four measures" in text
@@ -105,7 +106,7 @@ def test_the_report_shows_what_is_finished_and_names_what_is_missing(reports, tm
     for row in scheme_rows(SETTINGS, reports):
         mean, sd = 1e2 * row.members.mean.pixel_accuracy, 1e2 * row.members.sd.pixel_accuracy
         assert (f"| **{mean:.1f} ± {sd:.1f}** |" if row.cell.scheme == "ours" else f"| {mean:.1f} ± {sd:.1f} |") in text
-    assert "88.2 ± 0.9" in text, "the paper's figures stand beside ours"
+    assert "88.2 ± 0.9" in text, "the paper's values are beside ours"
 
     few = {"ours-200": reports["ours-200"], "mixup-200": reports["mixup-200"]}
     text = write_study(tmp_path / "few", SETTINGS, few).read_text()
@@ -116,7 +117,7 @@ def test_the_report_shows_what_is_finished_and_names_what_is_missing(reports, tm
     assert "Augmentation schemes" not in text
 
 
-def test_values_are_what_the_tables_say_and_nothing_is_invented(reports) -> None:
+def test_values_are_those_of_the_tables_and_only_of_finished_cells(reports) -> None:
     values = study_values(SETTINGS, reports)
     assert json.loads(json.dumps(values)) == values
     row = scheme_rows(SETTINGS, reports)[1]
@@ -130,6 +131,6 @@ def test_values_are_what_the_tables_say_and_nothing_is_invented(reports) -> None
     assert {name.rsplit("_", 1)[0][:9] for name in few} == {"mixup_200"}
 
 
-def test_missing_cells_keep_their_order(reports) -> None:
+def test_missing_cells_are_named_in_order(reports) -> None:
     assert missing_cells(SETTINGS.cells(), {}) == tuple(cell.name for cell in SETTINGS.cells())
     assert missing_cells(SETTINGS.cells(), reports) == ()
