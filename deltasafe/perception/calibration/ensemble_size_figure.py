@@ -23,7 +23,7 @@ from deltasafe.perception.calibration.paper_results import (
 )
 from deltasafe.perception.calibration.reliability import CONFIDENCE_EDGES
 from deltasafe.perception.calibration.report import CalibrationReport
-from deltasafe.reporting.panels import clean
+from deltasafe.reporting.panels import style_axes
 
 __all__ = ["ensemble_reliability_figure", "ensemble_size_figure"]
 
@@ -50,7 +50,7 @@ def ensemble_reliability_figure(report: CalibrationReport) -> Figure:
         axes.plot([0.5, 1], [0.5, 1], color="black", ls=":", lw=1, zorder=1)
         axes.set_xlabel("Confidence")
     for axes in (ours, paper, counts):
-        clean(axes)
+        style_axes(axes)
     _draw_key(figure.add_subplot(grid[1, 1]), report, sizes)
     return figure
 
@@ -68,7 +68,7 @@ def ensemble_size_figure(report: CalibrationReport) -> Figure:
         axes.set(xlabel="Ensemble size $M$", ylabel=label)
         axes.set_ylim(bottom=0)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        clean(axes)
+        style_axes(axes)
         axes.legend(frameon=False, fontsize=9)
     return figure
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from deltasafe.perception.calibration.curve_drawing import BLUE, ORANGE, RED, draw_band, draw_curve
 from deltasafe.perception.calibration.reliability import DELTA_GRID, delta_index
 from deltasafe.perception.calibration.report import CalibrationReport
-from deltasafe.reporting.panels import clean
+from deltasafe.reporting.panels import style_axes
 
 __all__ = ["missed_hands_figure"]
 
@@ -26,7 +26,7 @@ def missed_hands_figure(report: CalibrationReport) -> Figure:
     _draw_images(right, report)
     for axes in (left, right):
         axes.title.set_fontsize(11)
-        clean(axes)
+        style_axes(axes)
     return figure
 
 

@@ -18,7 +18,7 @@ from deltasafe.perception.calibration.curve_drawing import (
 )
 from deltasafe.perception.calibration.reliability import CONFIDENCE_EDGES, DELTA_GRID
 from deltasafe.perception.calibration.report import CalibrationReport
-from deltasafe.reporting.panels import clean
+from deltasafe.reporting.panels import style_axes
 
 __all__ = ["reliability_figure"]
 
@@ -52,7 +52,7 @@ def reliability_figure(report: CalibrationReport) -> Figure:
         bottom.set_xlabel(label)
         top.tick_params(labelbottom=False)
         for axes in (top, bottom):
-            clean(axes)
+            style_axes(axes)
     return figure
 
 

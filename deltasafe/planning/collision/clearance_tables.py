@@ -38,7 +38,7 @@ class ClearanceTables(NamedTuple):
 
 
 def clearance_tables_of(field: DistanceField, body: ToolBody, by_yaw_m: float | None) -> ClearanceTables:
-    """ClearanceTables of a body in a field; ``by_yaw_m`` is what the finer one shows a pose to keep, None for without."""
+    """Clearance tables of a body in a field; ``by_yaw_m`` is the margin of the finer table, None without it."""
     lattice = field.arrays.lattice
     cell_m = lattice.stride * lattice.voxel_m
     return ClearanceTables(

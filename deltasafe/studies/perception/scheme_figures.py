@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from deltasafe.perception.calibration.curve_drawing import BLUE, GRAY, ORANGE, RED
-from deltasafe.reporting.panels import clean
+from deltasafe.reporting.panels import style_axes
 from deltasafe.studies.perception.tables import SCHEME_TITLES, AblationRow, SchemeRow, best_rows
 
 __all__ = ["ablation_figure", "scheme_figure", "scheme_tables_figure"]
@@ -136,6 +136,6 @@ def _dot(color: str, label: str) -> Any:
 
 
 def _clean(axes: Axes) -> None:
-    clean(axes)
+    style_axes(axes)
     axes.spines["left"].set_visible(False)
     axes.tick_params(axis="y", length=0)

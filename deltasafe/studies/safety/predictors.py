@@ -38,11 +38,11 @@ class FrozenEnsemblePredictor:
         Raises:
             ArtifactError: the folder holds no frozen ensemble.
         """
-        from deltasafe.perception.calibration.temperature import apply_temperature
+        from deltasafe.perception.calibration.temperature import pooled_probability
 
         ensemble = _load(self.folder)
         members = ensemble.member_p_occupied(rgb)
-        return Prediction(apply_temperature(members.mean(axis=0), ensemble.temperature).astype(np.float32), members)
+        return Prediction(pooled_probability(members, ensemble.temperature).astype(np.float32), members)
 
 
 @functools.lru_cache(1)

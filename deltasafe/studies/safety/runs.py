@@ -70,61 +70,7 @@ BY_SPEED = ("poses_by_speed", "unsafe_by_speed", "touching_by_speed", "min_tool_
 """Columns by reference speed, with a second axis for the bins between ``SPEED_EDGES_MPS``."""
 
 STAGES = ("see", "plan", "execute", "judge")
-<<<<<<< HEAD
 """Stages of a trial whose CPU time is measured; ``see`` is the prediction."""
-=======
-
-
-@dataclasses.dataclass(frozen=True)
-class Sight:
-    """What is seen in a picture: ``ensemble`` (H, W) and ``members`` (M, H, W), all p_occupied."""
-
-    ensemble: NDArray[np.float32]
-    members: NDArray[np.float32]
-
-
-class Eyes(Protocol):
-    """Whoever looks at pictures; a dataclass with a JSON form, since it names a batch together with the settings."""
-
-    def look(self, rgb: NDArray[np.uint8]) -> Sight:
-        """What is seen in a picture (H, W, 3) uint8."""
-        ...
-
-
-@dataclasses.dataclass(frozen=True)
-class FrozenEyes:
-    """A frozen ensemble. Its members see as they are; the ensemble's temperature is calibrated for all of them."""
-
-    folder: str
-
-    def look(self, rgb: NDArray[np.uint8]) -> Sight:
-        """The mean of the members, recalibrated, and each of them.
-
-        Raises:
-            ArtifactError: the folder holds no frozen ensemble.
-        """
-        from deltasafe.perception.calibration.temperature import pooled_probability
-
-        ensemble = _ensemble(self.folder)
-        members = ensemble.member_p_occupied(rgb)
-        return Sight(pooled_probability(members, ensemble.temperature).astype(np.float32), members)
-
-
-@functools.lru_cache(1)
-def _ensemble(folder: str) -> Any:
-    import torch
-
-    from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
-
-    ensemble = load_ensemble(folder)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # side by side one each; and sums of the same order, whatever the machine
-    try:
-        _ = ensemble.backend
-    finally:
-        torch.set_num_threads(threads)
-    return ensemble
->>>>>>> r-cal
 
 
 @dataclasses.dataclass(frozen=True)
