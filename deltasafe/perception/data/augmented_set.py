@@ -1,36 +1,31 @@
-"""The augmented training set on disk: arrays ready for training, and the recipe of every image."""
+"""The augmented training set on disk: arrays of images and masks, and the recipe of every image."""
 
+import collections
 import contextlib
 import dataclasses
-import hashlib
+import functools
 import json
 import os
 import pathlib
-from collections.abc import Generator
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compute.executor import LOCAL, Needs, Task, in_order
+from deltasafe.compute.executor import LOCAL, Task
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.errors import DataError, SettingsError
+from deltasafe.errors import DataError
 from deltasafe.io.storage import atomic_folder, digest_of, read_json, write_json
-from deltasafe.perception.data.augmentation import (
-    METHOD_NAMES,
-    AugmentationSettings,
-    Augmented,
-    Backgrounds,
-    augment,
-    cut_out,
-)
+from deltasafe.perception.data.augmentation import METHOD_NAMES, AugmentationSettings
+from deltasafe.perception.data.augmentation.augment import AugmentedImage, pixel_digest
+from deltasafe.perception.data.augmentation.background import Backgrounds
 from deltasafe.perception.data.labeled_images import LabeledImageSet
-from deltasafe.perception.data.schemes import SCHEMES, SchemeSettings, scheme_of
-from deltasafe.perception.data.schemes.generation import Maker, maker_of, stored_form
-from deltasafe.perception.data.schemes.soft_masks import hand_share
+from deltasafe.perception.data.schemes import SCHEMES, SchemeSettings, scheme_name
+from deltasafe.perception.data.schemes.generation import VariantGenerator, size_and_mask_dtype, variant_generator
+from deltasafe.perception.data.schemes.mixup import soft_labels
 
-__all__ = ["AugmentedSet", "augment_images", "remake"]
+__all__ = ["AugmentedSet", "augment_images"]
 
 FORMAT = 1
 
@@ -40,14 +35,14 @@ class AugmentedSet:
     """A stored augmented set, memory-mapped.
 
     Attributes:
-        folder: where it lies.
+        folder: of the stored set.
         images: ``(N, H, W, 3)`` uint8, RGB, read-only.
-        masks: ``(N, H, W)`` uint8, 1 = hand, or soft: uint16, 65535 = certainly hand; read-only.
-        recipes: what was done to each image; variants of one original follow each other.
+        masks: ``(N, H, W)``, read-only: uint8 with 1 = hand, or soft masks in uint16 with 65535 = hand.
+        recipes: source, seed and operations of each image; all variants of an original are consecutive.
         settings: of the augmentation scheme.
-        source_digest: of the hand set it was made from.
-        background_digest: of the pictures the hands were put on; empty where there were none.
-        digest: SHA-256 over all of it, pixels included.
+        source_digest: of the set of originals.
+        background_digest: of the background photographs; empty without photographs.
+        digest: SHA-256 of settings, sources and recipes; the recipes contain the digests of the pixels.
     """
 
     folder: pathlib.Path
@@ -61,69 +56,54 @@ class AugmentedSet:
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "AugmentedSet":
-        """Open a stored set; checks everything but the pixels, which :meth:`verify` checks.
+        """Open a stored set. Checks everything except the pixels, which :meth:`verify` checks.
 
         Raises:
-            DataError: a file is missing, of another form, or the parts do not belong together.
+            DataError: a file is missing or has another format, or the files do not belong together.
         """
         folder = pathlib.Path(folder)
-        described = read_json(folder / "set.json")
-        if not isinstance(described, dict) or described.get("format") != FORMAT:
-            raise DataError(folder / "set.json", f"is not of format {FORMAT}; write the augmented set again")
-        scheme = described.get("scheme", "ours")
+        header = read_json(folder / "set.json")
+        if not isinstance(header, dict) or header.get("format") != FORMAT:
+            raise DataError(folder / "set.json", f"does not have format {FORMAT}; make the augmented set again")
+        scheme = header.get("scheme", "ours")
         if scheme not in SCHEMES:
-            raise DataError(folder / "set.json", f"is of an unknown scheme {scheme!r}; known: {', '.join(SCHEMES)}")
-        settings = SCHEMES[scheme](**described["settings"])
-        n, (shape, mask_type) = described["n"], stored_form(settings)
-        images = _mapped(folder / "images.npy", (n, *shape, 3), np.uint8)
-        masks = _mapped(folder / "masks.npy", (n, *shape), mask_type)
+            raise DataError(folder / "set.json", f"has the unknown scheme {scheme!r}; known: {', '.join(SCHEMES)}")
+        settings = SCHEMES[scheme](**header["settings"])
+        n, (size, mask_dtype) = header["n"], size_and_mask_dtype(settings)
+        images = _open_array(folder / "images.npy", (n, *size, 3), np.uint8)
+        masks = _open_array(folder / "masks.npy", (n, *size), mask_dtype)
         recipes = _read_recipes(folder / "recipes.jsonl")
         if len(recipes) != n:
-            raise DataError(
-                folder / "recipes.jsonl", f"holds {len(recipes)} recipes for {n} images; write the set again"
-            )
-        digest = _digest(settings, described["source_digest"], described["background_digest"], recipes)
-        if digest != described["digest"]:
-            raise DataError(folder, "has a digest that is not that of its recipes; write the augmented set again")
-        return cls(
-            folder,
-            images,
-            masks,
-            recipes,
-            settings,
-            described["source_digest"],
-            described["background_digest"],
-            digest,
-        )
+            raise DataError(folder / "recipes.jsonl", f"has {len(recipes)} recipes for {n} images; make the set again")
+        source, background = header["source_digest"], header["background_digest"]
+        digest = _digest(settings, source, background, recipes)
+        if digest != header["digest"]:
+            raise DataError(folder, "has a digest that differs from its recipes' digest; make the augmented set again")
+        return cls(folder, images, masks, recipes, settings, source, background, digest)
 
     @property
     def n(self) -> int:
-        """How many images."""
+        """Number of images."""
         return len(self.recipes)
 
     @property
-    def scheme(self) -> str:
-        """Name of the scheme that made it."""
-        return scheme_of(self.settings)
-
-    @property
     def n_distinct(self) -> int:
-        """How many different images; schemes that draw from few variants repeat themselves."""
+        """Number of different images; a scheme with few possible variants draws some of them repeatedly."""
         return len({recipe["digest"] for recipe in self.recipes})
 
     def labels(self, indices: NDArray[np.integer] | slice) -> NDArray[np.float32]:
-        """``(B, H, W)`` float32 in [0, 1]: how much of each pixel is hand, of the images ``indices``."""
-        return hand_share(self.masks[indices])
+        """``(B, H, W)`` float32 in [0, 1]: the hand's coverage of each pixel, of the images at ``indices``."""
+        return soft_labels(self.masks[indices])
 
     def verify(self) -> None:
         """Compare every image and mask with the digest in its recipe.
 
         Raises:
-            DataError: naming the first image that differs.
+            DataError: names the first image that differs.
         """
         for i, recipe in enumerate(self.recipes):
-            if hashlib.sha256(self.images[i].tobytes() + self.masks[i].tobytes()).hexdigest() != recipe["digest"]:
-                raise DataError(self.folder, f"image {i} differs from its recipe; write the augmented set again")
+            if pixel_digest(self.images[i], self.masks[i]) != recipe["digest"]:
+                raise DataError(self.folder, f"image {i} differs from its recipe; make the augmented set again")
 
 
 def augment_images(
@@ -139,143 +119,120 @@ def augment_images(
 
     Args:
         images: the labeled originals.
-        folder: destination; an existing one is replaced when the new one is complete.
-        settings: of the scheme; their class selects it (`deltasafe.perception.data.schemes`). Default: ours.
-        backgrounds: folder of pictures without the object, for our scheme; None uses procedural surfaces only.
-        workers: number of processes; it does not change the result. 1 works in this process.
-        progress: called after each original.
+        folder: destination; an existing folder is replaced when the new one is complete.
+        settings: of a scheme of `deltasafe.perception.data.schemes`; their class selects it. Default: our scheme.
+        backgrounds: folder of photographs without hands, for our scheme. None: procedural surfaces only.
+        workers: number of processes; the result does not depend on it. 1 works in this process.
+        progress: called after each original, in the order in which they are finished.
 
     Raises:
         DataError: an original or a background is defective.
         SettingsError: ``workers`` is less than 1.
     """
-    if workers < 1:
-        raise SettingsError(f"workers is {workers}; choose at least 1")
     settings = settings or AugmentationSettings()
     ours = isinstance(settings, AugmentationSettings)
     backgrounds = backgrounds if ours else None
-    pictures = _pictures(backgrounds)
-    n, (size, mask_type) = len(images) * settings.n_variants, stored_form(settings)
-    recipes: list[dict[str, Any]] = []
+    background_digest = Backgrounds.load(backgrounds).digest
     with atomic_folder(folder) as temporary:
-        pixels = _room(temporary / "images.npy", np.uint8, (n, *size, 3))
-        masks = _room(temporary / "masks.npy", mask_type, (n, *size))
-        with contextlib.closing(_all_variants(images, backgrounds, settings, workers)) as originals:
-            for done, variants in enumerate(originals, start=1):
-                for made in variants:
-                    pixels[len(recipes)], masks[len(recipes)] = made.image, made.mask
-                    recipes.append(made.recipe)
-                progress(done, len(images), f"augmented {images.items[done - 1].id}")
-        pixels.flush()
-        masks.flush()
-        del pixels, masks
+        n_threads = cv2.getNumThreads()
+        try:
+            recipes = _write_images(images, temporary, settings, backgrounds, workers, progress)
+        finally:  # a single worker is this process
+            _cached_generator.cache_clear()
+            cv2.setNumThreads(n_threads)
         with (temporary / "recipes.jsonl").open("w", encoding="utf-8") as file:
             file.writelines(json.dumps(recipe) + "\n" for recipe in recipes)
-        described = {
+        applied = collections.Counter(dict.fromkeys(METHOD_NAMES, 0) if ours else {})
+        applied.update(step["method"] for recipe in recipes for step in recipe["operations"])
+        header = {
             "format": FORMAT,
-            "n": n,
+            "n": len(recipes),
             "settings": dataclasses.asdict(settings),
             "source": images.name,
             "source_digest": images.digest,
-            "background_digest": pictures.digest,
-            "digest": _digest(settings, images.digest, pictures.digest, tuple(recipes)),
-            "applied": {name: _count(recipes, name) for name in (METHOD_NAMES if ours else _methods(recipes))},
-            **({} if ours else {"scheme": scheme_of(settings)}),
+            "background_digest": background_digest,
+            "digest": _digest(settings, images.digest, background_digest, recipes),
+            "applied": applied,
+            **({} if ours else {"scheme": scheme_name(settings)}),
         }
-        write_json(temporary / "set.json", described)
+        write_json(temporary / "set.json", header)
     return AugmentedSet.load(folder)
 
 
-def remake(
-    hands: LabeledImageSet, backgrounds: Backgrounds, settings: AugmentationSettings, source: str, variant: int
-) -> Augmented:
-    """One image of a set again, alone: the same bytes as in the stored set.
-
-    Raises:
-        DataError: there is no original with the id ``source``.
-    """
-    for i, item in enumerate(hands.items):
-        if item.id == source:
-            return augment(source, cut_out(*hands.read(i), settings), variant, backgrounds, settings)
-    raise DataError(
-        hands.name, f"holds no image {source!r}; its ids go from {hands.items[0].id} to {hands.items[-1].id}"
-    )
-
-
-_maker: Maker | None = None
-
-
-def _all_variants(
-    hands: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings, workers: int
-) -> Generator[list[Augmented], None, None]:
-    if workers == 1:
-        maker = maker_of(hands, _pictures(backgrounds), settings)
-        yield from (maker.variants(i) for i in range(len(hands)))
-        return
+def _write_images(
+    images: LabeledImageSet,
+    folder: pathlib.Path,
+    settings: SchemeSettings,
+    backgrounds: str | pathlib.Path | None,
+    workers: int,
+    progress: Progress,
+) -> tuple[dict[str, Any], ...]:
+    """Write the arrays and return the recipes. In memory are only the variants of one original per worker."""
+    n, (size, mask_dtype) = len(images) * settings.n_variants, size_and_mask_dtype(settings)
+    stored_images = _allocate(folder / "images.npy", np.uint8, (n, *size, 3))
+    stored_masks = _allocate(folder / "masks.npy", mask_dtype, (n, *size))
+    recipes: list[dict[str, Any]] = [{}] * n
     tasks = [
-        Task(f"augmentation of {item.id}", _work, (hands, backgrounds, settings, i))
-        for i, item in enumerate(hands.items)
+        Task(f"augmentation of {item.id}", _variants, (images, backgrounds, settings, i))
+        for i, item in enumerate(images.items)
     ]
-    with contextlib.closing(LOCAL.run(tasks, workers, Needs(apart=True))) as finished:
-        yield from in_order(finished)
+    with contextlib.closing(LOCAL.run(tasks, workers)) as results:
+        for done, (i, variants) in enumerate(results, start=1):
+            for row, variant in enumerate(variants, start=i * settings.n_variants):
+                stored_images[row], stored_masks[row], recipes[row] = variant.image, variant.mask, variant.recipe
+            progress(done, len(images), f"augmented {images.items[i].id}")
+    stored_images.flush()
+    stored_masks.flush()
+    return tuple(recipes)
 
 
-def _work(
-    hands: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings, i: int
-) -> list[Augmented]:
-    """Called in a worker process, which serves one set: it reads the backgrounds itself, once."""
-    global _maker  # noqa: PLW0603
-    if _maker is None:
-        _maker = maker_of(hands, _pictures(backgrounds), settings)
-        cv2.setNumThreads(1)
-    return _maker.variants(i)
+def _variants(
+    images: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings, i: int
+) -> list[AugmentedImage]:
+    return _cached_generator(images, backgrounds, settings)(i)
 
 
-def _pictures(backgrounds: str | pathlib.Path | None) -> Backgrounds:
-    return Backgrounds() if backgrounds is None else Backgrounds.load(backgrounds)
+@functools.lru_cache(maxsize=1)
+def _cached_generator(
+    images: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings
+) -> VariantGenerator:
+    """Create the generator once per process, because it reads all backgrounds or all originals."""
+    cv2.setNumThreads(1)  # the workers share the cores
+    return variant_generator(images, Backgrounds.load(backgrounds), settings)
 
 
 def _read_recipes(path: pathlib.Path) -> tuple[dict[str, Any], ...]:
     if not path.is_file():
-        raise DataError(path, "is missing; write the augmented set again")
+        raise DataError(path, "is missing; make the augmented set again")
     recipes = []
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         try:
             recipes.append(json.loads(line))
         except json.JSONDecodeError as error:
-            raise DataError(path, f"line {number} is no recipe ({error}); write the augmented set again") from error
+            raise DataError(path, f"line {number} is not a recipe ({error}); make the augmented set again") from error
     return tuple(recipes)
 
 
-def _room(path: pathlib.Path, kind: type[np.generic], shape: tuple[int, ...]) -> np.memmap:
-    """An array on disk that can be filled: a full disk is an error now, not the death of the process later."""
-    array: np.memmap = np.lib.format.open_memmap(path, mode="w+", dtype=kind, shape=shape)
+def _allocate(path: pathlib.Path, dtype: type[np.generic], shape: tuple[int, ...]) -> np.memmap:
+    """Create an array on disk and reserve its space: a disk that is full later would kill the process by SIGBUS."""
+    array: np.memmap = np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=shape)
     if hasattr(os, "posix_fallocate"):
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
     return array
 
 
-def _mapped(path: pathlib.Path, shape: tuple[int, ...], kind: type[np.generic]) -> np.ndarray:
+def _open_array(path: pathlib.Path, shape: tuple[int, ...], dtype: type[np.generic]) -> np.ndarray:
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError) as error:
-        raise DataError(path, f"cannot be opened ({error}); write the augmented set again") from error
-    if array.shape != shape or array.dtype != kind:
-        expected = f"{np.dtype(kind)} {shape}"
-        raise DataError(path, f"holds {array.dtype} {array.shape}, not {expected}; write the augmented set again")
+        raise DataError(path, f"cannot be opened ({error}); make the augmented set again") from error
+    if array.shape != shape or array.dtype != dtype:
+        expected = f"{np.dtype(dtype)} {shape}"
+        raise DataError(path, f"holds {array.dtype} {array.shape}, not {expected}; make the augmented set again")
     return array
 
 
 def _digest(settings: SchemeSettings, source: str, backgrounds: str, recipes: tuple[dict[str, Any], ...]) -> str:
-    scheme = [] if isinstance(settings, AugmentationSettings) else [scheme_of(settings)]
+    scheme = [] if isinstance(settings, AugmentationSettings) else [scheme_name(settings)]
     return digest_of([*scheme, settings, source, backgrounds, recipes])
-
-
-def _methods(recipes: list[dict[str, Any]]) -> list[str]:
-    """In the order in which they are applied."""
-    return list(dict.fromkeys(step["method"] for recipe in recipes for step in recipe["operations"]))
-
-
-def _count(recipes: list[dict[str, Any]], name: str) -> int:
-    return sum(any(step["method"] == name for step in recipe["operations"]) for recipe in recipes)

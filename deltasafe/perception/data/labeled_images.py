@@ -1,4 +1,4 @@
-"""Sets of labeled hand images: read from a folder, checked before anything is computed from them."""
+"""Sets of labeled hand images: read from a folder and checked before use."""
 
 import dataclasses
 import hashlib
@@ -13,17 +13,17 @@ from PIL import Image
 from deltasafe.errors import DataError
 from deltasafe.io.storage import digest_of, sha256_of_file
 
-__all__ = ["LabeledImage", "LabeledImageSet", "check_disjoint", "read_mask", "read_registry", "read_rgb"]
+__all__ = ["LabeledImageSet", "check_disjoint", "read_mask", "read_registry", "read_rgb", "resize_labeled"]
 
 _EXIF_ORIENTATION = 0x0112
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
-MOST_PIXELS = 80_000_000
-"""Of an image; a header of a few bytes can claim any number, and memory is reserved for it."""
+MAX_PIXELS = 80_000_000
+"""Of one image. A corrupt header of a few bytes can claim any size, and the decoder would allocate it."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LabeledImage:
-    """One labeled image: its id (the common stem of both files) and where image and mask lie."""
+    """One labeled image: its id (the common stem of both files) and the paths of image and mask."""
 
     id: str
     image: pathlib.Path
@@ -32,13 +32,13 @@ class LabeledImage:
 
 @dataclasses.dataclass(frozen=True)
 class LabeledImageSet:
-    """Images of hands with their masks, in the order of their ids.
+    """Images of hands with their masks, sorted by id.
 
     Attributes:
-        name: the folder's name.
+        name: of the folder.
         items: the labeled images, sorted by id.
         pixel_digests: SHA-256 of the decoded pixels of each image, in the order of ``items``.
-        digest: SHA-256 over ids, pixels and masks; equal digests mean equal sets, wherever they lie.
+        digest: SHA-256 over ids, pixels and masks; it does not depend on the folder's path.
     """
 
     name: str
@@ -48,21 +48,19 @@ class LabeledImageSet:
 
     @classmethod
     def load(cls, folder: str | pathlib.Path, registry: str | pathlib.Path | None = None) -> "LabeledImageSet":
-        """Read and check the set in ``folder``, which holds ``images/`` and ``masks/`` with files of equal
-        stems.
+        """Read and check the set in ``folder``: files in ``images/`` and ``masks/`` with equal stems.
 
         Args:
-            folder: the set. Images are RGB with 8 bits a channel (JPEG or PNG, of any size); masks are of one
-                channel and of the size of their image, 255 where there is hand and 0 elsewhere.
-            registry: a file of SHA-256 sums (as by ``sha256sum``, paths relative to the registry's folder)
-                against
-                which every file of the set is compared.
+            folder: the set. Images are RGB with 8 bits per channel (JPEG or PNG, any size). Masks have one channel
+                and the size of their image; 255 marks the hand, 0 everything else.
+            registry: a file of SHA-256 digests in the format of ``sha256sum``, with paths relative to its folder.
+                Every file of the set is compared with it.
 
         Raises:
-            DataError: naming the first defective file, what is wrong and what to do.
+            DataError: names the first defective file, the defect and the remedy.
         """
         folder = pathlib.Path(folder)
-        images, masks = _files(folder / "images"), _files(folder / "masks")
+        images, masks = _files_by_stem(folder / "images"), _files_by_stem(folder / "masks")
         for stem in sorted(images.keys() ^ masks.keys()):
             path, other = (images[stem], "masks") if stem in images else (masks[stem], "images")
             raise DataError(path, f"has no counterpart in {other}/; give both files the same stem, or remove it")
@@ -82,7 +80,7 @@ class LabeledImageSet:
         return len(self.items)
 
     def read(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """Image ``(H, W, 3)`` uint8 in RGB and mask ``(H, W)`` uint8 (1 = hand) of the ``i``-th item.
+        """Read the ``i``-th image ``(H, W, 3)`` uint8, RGB, and its mask ``(H, W)`` uint8, 1 = hand.
 
         Raises:
             DataError: a file is missing or defective.
@@ -91,59 +89,63 @@ class LabeledImageSet:
 
 
 def check_disjoint(train: LabeledImageSet, test: LabeledImageSet) -> None:
-    """Refuse a test set that shares an image with the training set, under whatever name.
+    """Check that no image of the test set occurs in the training set, under any name.
 
     Raises:
-        DataError: naming the image of ``test`` whose decoded pixels also occur in ``train``.
+        DataError: names the image of ``test`` whose decoded pixels also occur in ``train``.
     """
-    known = dict(zip(train.pixel_digests, train.items, strict=True))
+    train_items = dict(zip(train.pixel_digests, train.items, strict=True))
     for digest, item in zip(test.pixel_digests, test.items, strict=True):
-        if digest in known:
+        if digest in train_items:
             raise DataError(
                 item.image,
-                f"has the same pixels as {known[digest].image} of the training set; "
-                "remove it from one of the two, or every figure measured on the test set is too good",
+                f"has the same pixels as {train_items[digest].image} of the training set; remove it from one of the "
+                "two sets, because it makes all results on the test set too optimistic",
             )
 
 
 def read_rgb(path: str | pathlib.Path) -> np.ndarray:
-    """An image file as ``(H, W, 3)`` uint8 in RGB.
+    """Read an image file as ``(H, W, 3)`` uint8 in RGB.
 
     Raises:
-        DataError: the file is missing, cannot be decoded, or is not RGB with 8 bits a channel.
+        DataError: the file is missing, cannot be decoded, or is not RGB with 8 bits per channel.
     """
     image = _decode(pathlib.Path(path))
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-        channels = 1 if image.ndim == 2 else image.shape[2]
-        raise DataError(path, f"has {channels} channel(s) of {image.dtype}; convert it to RGB with 8 bits a channel")
+        raise DataError(path, f"has {_channels(image)}; convert it to RGB with 8 bits per channel")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def read_mask(path: str | pathlib.Path) -> np.ndarray:
-    """A mask as ``(H, W)`` uint8: 255 where there is hand, somewhere, and 0 elsewhere.
+    """Read a mask as ``(H, W)`` uint8: 255 marks the hand, 0 everything else.
 
     Raises:
-        DataError: the file is missing, cannot be decoded, or holds anything else.
+        DataError: the file is missing, cannot be decoded, holds other values, or marks no hand.
     """
     path = pathlib.Path(path)
     mask = _decode(path)
     if mask.ndim != 2 or mask.dtype != np.uint8:
-        channels = 1 if mask.ndim == 2 else mask.shape[2]
-        raise DataError(
-            path, f"has {channels} channel(s) of {mask.dtype}; a mask is of one channel with 8 bits, convert it"
-        )
+        raise DataError(path, f"has {_channels(mask)}; convert the mask to one channel with 8 bits")
     values = np.unique(mask)
     if not np.isin(values, (0, 255)).all():
         found = ", ".join(str(value) for value in values if value not in (0, 255))
-        hint = "; JPEG cannot hold a mask" if path.suffix.lower() != ".png" else ""
+        hint = "" if path.suffix.lower() == ".png" else "; JPEG compression changes the values of a mask"
         raise DataError(path, f"holds the value(s) {found[:60]}; only 0 and 255 are allowed, store it as PNG{hint}")
     if 255 not in values:
-        raise DataError(path, "marks no hand (255 nowhere); label the image, or remove it from the set")
+        raise DataError(path, "marks no hand (no pixel is 255); label the image, or remove it from the set")
     return mask
 
 
+def resize_labeled(
+    rgb: np.ndarray, mask: np.ndarray, size: tuple[int, int], interpolation: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Resize an image and its mask to ``size`` (width, height); a pixel is hand if at least half of it is covered."""
+    coverage = cv2.resize(mask.astype(np.float32), size, interpolation=interpolation)
+    return cv2.resize(rgb, size, interpolation=interpolation), (coverage >= 0.5).astype(np.uint8)
+
+
 def read_registry(path: str | pathlib.Path) -> dict[str, str]:
-    """SHA-256 by relative path, from a file in the format of ``sha256sum``.
+    """Read SHA-256 digests by relative path from a file in the format of ``sha256sum``.
 
     Raises:
         DataError: the file is missing, or a line is not a digest and a path.
@@ -159,24 +161,24 @@ def read_registry(path: str | pathlib.Path) -> dict[str, str]:
     for number, line in enumerate(lines, start=1):
         digest, _, name = line.partition("  ")
         if len(digest) != 64 or not name:
-            raise DataError(path, f"line {number} is {line!r}, not a SHA-256 sum and a path; write it with sha256sum")
+            raise DataError(path, f"line {number} is {line!r}, not a SHA-256 and a path; write it with sha256sum")
         registry[name] = digest
     return registry
 
 
-def _files(folder: pathlib.Path) -> dict[str, pathlib.Path]:
+def _files_by_stem(folder: pathlib.Path) -> dict[str, pathlib.Path]:
     if not folder.is_dir():
-        raise DataError(folder, "is not a folder; make it, a set consists of images/ and masks/")
+        raise DataError(folder, "is not a folder; create it, a set consists of images/ and masks/")
     files: dict[str, pathlib.Path] = {}
     for path in sorted(folder.iterdir()):
         if path.name.startswith("."):
             continue
         if path.suffix.lower() not in IMAGE_SUFFIXES:
-            raise DataError(path, f"is no image ({', '.join(IMAGE_SUFFIXES)}); remove or convert it")
+            raise DataError(path, f"is not an image ({', '.join(IMAGE_SUFFIXES)}); remove or convert it")
         if not path.is_file():
-            raise DataError(path, "is no file; remove it, images and masks lie side by side")
+            raise DataError(path, "is not a file; remove it, subfolders are not read")
         if path.stem in files:
-            raise DataError(path, f"has the stem of {files[path.stem].name}; rename or remove one of the two")
+            raise DataError(path, f"has the same stem as {files[path.stem].name}; rename or remove one of the two")
         files[path.stem] = path
     return files
 
@@ -193,47 +195,50 @@ def _read(item: LabeledImage) -> tuple[np.ndarray, np.ndarray]:
     return rgb, mask // 255
 
 
+def _channels(image: np.ndarray) -> str:
+    return f"{1 if image.ndim == 2 else image.shape[2]} channel(s) of {image.dtype}"
+
+
 def _decode(path: pathlib.Path) -> np.ndarray:
     if path.exists() and not path.is_file():
-        raise DataError(path, "is no file; give an image file")
+        raise DataError(path, "is not a file; give an image file")
     try:
         data = path.read_bytes()
     except OSError as error:
         raise DataError(path, f"cannot be read ({error.strerror}); restore the file") from error
-    _check_whole(path, data)
+    _check_image(path, data)
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
     if image is None:
-        raise DataError(path, f"is no readable image ({len(data)} bytes); restore or remove it")
+        raise DataError(path, f"is not a readable image ({len(data)} bytes); restore or remove it")
     return image
 
 
-def _check_whole(path: pathlib.Path, data: bytes) -> None:
-    """Refuse what a decoder would make an image of all the same: cut short, too large to be one, or to be turned."""
+def _check_image(path: pathlib.Path, data: bytes) -> None:
+    """Refuse images that OpenCV decodes without an error: truncated, too large, CMYK, or with an EXIF rotation."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of damaged EXIF, which matters only if it can be read
+            warnings.simplefilter("ignore")  # damaged EXIF does not matter: the orientation then defaults to 1
             with Image.open(io.BytesIO(data)) as opened:
                 width, height = opened.size
-                if width * height > MOST_PIXELS:
-                    raise DataError(
-                        path,
-                        f"claims to be {width} x {height} pixels; at most {MOST_PIXELS} are read, make it smaller",
-                    )
+                if width * height > MAX_PIXELS:
+                    raise DataError(path, f"has {width} x {height} pixels; reduce it to at most {MAX_PIXELS} pixels")
                 mode, orientation = opened.mode, opened.getexif().get(_EXIF_ORIENTATION, 1)
                 opened.load()
     except DataError:
         raise
-    except Exception as error:  # of many kinds, as the format is read
+    except Exception as error:  # the type depends on the file format
         reason = " ".join(str(error).split())[:120].replace(repr(data), "")
-        raise DataError(path, f"is no readable image ({len(data)} bytes; {reason}); restore or remove it") from error
+        raise DataError(path, f"is not a readable image ({len(data)} bytes; {reason}); restore or remove it") from error
     if mode == "CMYK":
-        raise DataError(path, "holds the four colors of print (CMYK); convert it to RGB with 8 bits a channel")
+        raise DataError(path, "has CMYK colors; convert it to RGB with 8 bits per channel")
     if orientation != 1:
         raise DataError(
-            path, f"asks viewers to turn it (EXIF orientation {orientation}), which its mask may not; save it turned"
+            path,
+            f"has EXIF orientation {orientation}, and its mask may not be rotated in the same way; "
+            "rotate the pixels and remove the tag",
         )
 
 
@@ -241,13 +246,12 @@ def _check_registered(items: tuple[LabeledImage, ...], registry: pathlib.Path) -
     digests, root = read_registry(registry), registry.resolve().parent
     for path in (path for item in items for path in (item.image, item.mask)):
         resolved = path.resolve()
-        if not resolved.is_relative_to(root) or resolved.relative_to(root).as_posix() not in digests:
+        name = resolved.relative_to(root).as_posix() if resolved.is_relative_to(root) else ""
+        if name not in digests:
             raise DataError(path, f"is not registered in {registry}; the packaged sets are immutable, remove it")
-        expected, found = digests[resolved.relative_to(root).as_posix()], sha256_of_file(path)
-        if found != expected:
+        if (found := sha256_of_file(path)) != digests[name]:
             raise DataError(
-                path,
-                f"has SHA-256 {found[:12]}..., registered is {expected[:12]}...; restore the original file",
+                path, f"has SHA-256 {found[:12]}..., registered is {digests[name][:12]}...; restore the original file"
             )
 
 

@@ -1,4 +1,4 @@
-"""Which images a step of training sees, and at which size: a function of seed and step alone."""
+"""Batches of a training: images and their size depend on the seed and the step alone, so a training can resume."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ class Batches:
 
     Attributes:
         data: images and labels, memory-mapped.
-        settings: epochs, batch size, and the share of steps that sees small images.
+        settings: epochs, batch size, and the fraction of steps with downsampled images.
         seed: of the member.
     """
 
@@ -29,7 +29,7 @@ class Batches:
 
     @property
     def per_epoch(self) -> int:
-        """Steps of an epoch; a remainder smaller than a batch is left out, another one each time."""
+        """Steps of an epoch; images that do not fill a batch are skipped, different ones in each epoch."""
         return len(self.data.images) // self.settings.batch_size
 
     @property
@@ -38,21 +38,19 @@ class Batches:
         return self.settings.epochs * self.per_epoch
 
     def read(self, step: int, device: torch.device) -> tuple[Tensor, Tensor]:
-        """Images (B, 3, H, W), 0..255 in channels-last order, and labels (B, H, W) float32 in [0, 1] of a step."""
+        """Return images (B, 3, H, W), 0 to 255, channels last, and labels (B, H, W) float32 in [0, 1] of a step."""
         epoch, position = divmod(step, self.per_epoch)
         order = np.random.default_rng((self.seed, 1, epoch)).permutation(len(self.data.images))
         batch = order[position * self.settings.batch_size :][: self.settings.batch_size]
-        images = torch.from_numpy(np.ascontiguousarray(self.data.images[batch])).permute(0, 3, 1, 2)
-        labels = torch.from_numpy(np.ascontiguousarray(self.data.labels(batch)))
-        images, labels = images.to(device), labels.to(device)
-        if step < self.settings.small_share * self.n_steps:
-            return _reduced(images, self.settings.small_scale), _reduced(labels[:, None], self.settings.small_scale)[
-                :, 0
-            ]
-        return images, labels
+        images = torch.from_numpy(np.ascontiguousarray(self.data.images[batch])).permute(0, 3, 1, 2).to(device)
+        labels = torch.from_numpy(np.ascontiguousarray(self.data.labels(batch))).to(device)
+        if step >= self.settings.small_share * self.n_steps:
+            return images, labels
+        scale = self.settings.small_scale
+        return _downsample(images, scale), _downsample(labels[:, None], scale)[:, 0]
 
 
-def _reduced(pictures: Tensor, scale: float) -> Tensor:
-    """Means over areas: a label becomes the share of a pixel that is hand."""
-    size = [max(1, round(side * scale)) for side in pictures.shape[-2:]]
-    return functional.interpolate(pictures.float(), size, mode="area")
+def _downsample(images: Tensor, scale: float) -> Tensor:
+    """Average over areas, so that a label becomes the hand's coverage of the larger pixel."""
+    size = [max(1, round(side * scale)) for side in images.shape[-2:]]
+    return functional.interpolate(images.float(), size, mode="area")

@@ -1,56 +1,56 @@
-"""Color modification: another skin, another light, another camera."""
+"""Color modification: skin tone and lighting of the hand, then the camera's color processing of the whole image."""
 
 import numpy as np
 
 from deltasafe.perception.data.augmentation.skin import N_TONES, recolor, tone_lab
-from deltasafe.perception.data.augmentation.textures import light_falloff
+from deltasafe.perception.data.augmentation.textures import light_gradient
 
-__all__ = ["color_hand", "color_picture"]
+__all__ = ["recolor_hand", "simulate_camera"]
 
 
-def color_hand(
+def recolor_hand(
     rng: np.random.Generator, rgb: np.ndarray, alpha: np.ndarray
 ) -> tuple[np.ndarray, dict[str, float | int]]:
-    """Another skin tone (one of 20, evenly from dark to light) and light from another side on the hand alone.
+    """Give the hand another skin tone (one of 20, from dark to light), light from one side, and its own exposure.
 
     Args:
-        rgb: the hand's layer ``(H, W, 3)`` float32 in [0, 1].
-        alpha: ``(H, W)`` its coverage.
+        rng: source of the draws.
+        rgb: ``(H, W, 3)`` float32 in [0, 1], the hand alone.
+        alpha: ``(H, W)`` coverage of the hand.
     """
     height, width = alpha.shape
     tone = int(rng.integers(N_TONES))
     lab = tone_lab(tone) + rng.normal(0.0, (1.5, 2.0, 3.0)).astype(np.float32)
-    rgb = recolor(rgb, alpha, lab, float(rng.uniform(0.8, 1.5)), float(rng.uniform(0.5, 1.4)))
+    rgb = recolor(rgb, alpha, lab, contrast=float(rng.uniform(0.8, 1.5)), chroma=float(rng.uniform(0.5, 1.4)))
     drawn: dict[str, float | int] = {"tone": tone}
     if rng.random() < 0.5:
         drawn["side_light"] = float(rng.uniform(0.1, 0.5))
-        rgb = rgb * light_falloff(rng, width, height, drawn["side_light"])
-    if rng.random() < 0.25:  # against the light, or in a lamp's cone
+        rgb = rgb * light_gradient(rng, width, height, drawn["side_light"])
+    if rng.random() < 0.25:  # backlight, or a spotlight on the hand
         drawn["own_exposure_stops"] = float(rng.uniform(-0.8, 0.4))
         rgb = rgb * np.float32(2.0 ** drawn["own_exposure_stops"])
     return np.clip(rgb, 0.0, 1.0).astype(np.float32), drawn
 
 
-def color_picture(rng: np.random.Generator, picture: np.ndarray) -> tuple[np.ndarray, dict[str, float | int]]:
-    """Another camera for the whole picture ``(H, W, 3)`` float32, from white balance to vignette."""
-    height, width = picture.shape[:2]
-    warm, green = float(rng.normal(0, 0.13)), float(rng.normal(0, 0.05))
-    stops, gamma = float(rng.uniform(-0.6, 0.6)), float(np.exp(rng.uniform(-0.3, 0.3)))
-    saturation, vignette = float(rng.uniform(0.55, 1.4)), float(rng.uniform(0.0, 0.35))
-    gains = np.exp(np.array([warm, green, -warm])).astype(np.float32) * np.float32(2.0**stops)
-    picture = np.clip(picture, 0.0, 1.0) ** np.float32(gamma) * gains
-    gray = picture @ np.array([0.299, 0.587, 0.114], np.float32)
-    picture = gray[..., None] + (picture - gray[..., None]) * np.float32(saturation)
-    x, y = np.linspace(-1, 1, width, dtype=np.float32), np.linspace(-1, 1, height, dtype=np.float32)
-    picture = picture * (1 - np.float32(vignette) * 0.5 * (x[None, :, None] ** 2 + y[:, None, None] ** 2))
-    shoulder = np.float32(0.85)  # highlights roll off before they clip
-    over = np.maximum(picture - shoulder, 0)
-    picture = np.minimum(picture, shoulder) + (1 - shoulder) * (1 - np.exp(-over / (1 - shoulder)))
-    return np.clip(picture, 0.0, 1.0).astype(np.float32), {
-        "warm": warm,
-        "green": green,
-        "exposure_stops": stops,
-        "gamma": gamma,
-        "saturation": saturation,
-        "vignette": vignette,
+def simulate_camera(rng: np.random.Generator, rgb: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
+    """Change white balance, exposure, gamma, saturation and vignetting of the image ``(H, W, 3)`` float32."""
+    height, width = rgb.shape[:2]
+    drawn = {
+        "warm": float(rng.normal(0, 0.13)),
+        "green": float(rng.normal(0, 0.05)),
+        "exposure_stops": float(rng.uniform(-0.6, 0.6)),
+        "gamma": float(np.exp(rng.uniform(-0.3, 0.3))),
+        "saturation": float(rng.uniform(0.55, 1.4)),
+        "vignette": float(rng.uniform(0.0, 0.35)),
     }
+    warm, green, stops, gamma, saturation, vignette = drawn.values()
+    gains = np.exp(np.array([warm, green, -warm])).astype(np.float32) * np.float32(2.0**stops)
+    rgb = np.clip(rgb, 0.0, 1.0) ** np.float32(gamma) * gains
+    gray = rgb @ np.array([0.299, 0.587, 0.114], np.float32)
+    rgb = gray[..., None] + (rgb - gray[..., None]) * np.float32(saturation)
+    x, y = np.linspace(-1, 1, width, dtype=np.float32), np.linspace(-1, 1, height, dtype=np.float32)
+    rgb = rgb * (1 - np.float32(vignette) * 0.5 * (x[None, :, None] ** 2 + y[:, None, None] ** 2))
+    shoulder = np.float32(0.85)  # highlights are compressed above this value before they clip
+    over = np.maximum(rgb - shoulder, 0)
+    rgb = np.minimum(rgb, shoulder) + (1 - shoulder) * (1 - np.exp(-over / (1 - shoulder)))
+    return np.clip(rgb, 0.0, 1.0).astype(np.float32), drawn

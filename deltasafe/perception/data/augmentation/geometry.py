@@ -1,36 +1,34 @@
-"""The four geometric methods: each says where a point of the new picture comes from.
+"""The four geometric methods, as warps: maps from points of the new image to points of the old one.
 
-A warp maps points of the new canvas to points of the old one. The warps of one image are chained and the hand
-is sampled once, as a cut-out: no border is reflected into ghost hands, and nothing is blurred by repeated
-interpolation. The background is put in afterwards and needs no warp, being drawn at random itself.
-albumentations fills what comes from outside a picture; here points outside are wanted: the arm goes on there.
+The warps of one image are composed and the hand is sampled once. Repeated interpolation would blur it. The background
+is drawn separately and is not warped. albumentations is not used here: it fills points outside the image, for example
+by reflection, which makes a second hand. Here these points are kept, because the arm is continued there.
 """
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 
-__all__ = ["Warp", "cropping", "flip", "grid_distortion", "rotation"]
+__all__ = ["WARPS", "Warp", "WarpDraw", "sample"]
 
-Warp = Callable[[np.ndarray], np.ndarray]
-Drawn = tuple[Warp, np.ndarray, dict[str, float | int | str]]
+Warp: TypeAlias = Callable[[np.ndarray], np.ndarray]
+WarpDraw: TypeAlias = tuple[Warp, np.ndarray, dict[str, float | int | str]]
+"""The warp, the new center of the hand, and the drawn parameters."""
 
 SCALES = (0.45, 1.4)
 GRID_CELLS = (3, 6)
-GRID_SHIFT = 0.24
+GRID_SHIFT_CELLS = 0.24
 
 
-def flip(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> Drawn:
-    """Mirror left-right, top-bottom, or both, equally likely.
+def flip(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> WarpDraw:
+    """Mirror left-right, top-bottom, or both, with equal probability.
 
     Args:
-        rng: source of the draw.
+        rng: source of the draws.
         size: width and height of the canvas in pixels.
-        center: ``(2,)`` middle of the hand on the canvas.
-
-    Returns:
-        The warp, the hand's new middle, and the drawn parameters (as for all methods of this module).
+        center: ``(2,)`` center of the hand on the canvas.
     """
     axes = ("horizontal", "vertical", "both")[int(rng.integers(3))]
     sign = np.array([-1.0 if axes != "vertical" else 1.0, -1.0 if axes != "horizontal" else 1.0], np.float32)
@@ -42,8 +40,8 @@ def flip(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) ->
     return warp, warp(center), {"axes": axes}
 
 
-def rotation(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> Drawn:
-    """Turn by any angle about the middle of the hand, so that it stays in the picture."""
+def rotation(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> WarpDraw:
+    """Rotate by any angle about the center of the hand, so that the hand stays in the image."""
     angle_rad = float(rng.uniform(-np.pi, np.pi))
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     matrix = np.array([[cos, -sin], [sin, cos]], np.float32)
@@ -55,22 +53,22 @@ def rotation(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray
     return warp, center, {"angle_rad": angle_rad}
 
 
-def grid_distortion(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> Drawn:
-    """Shift the nodes of a grid of 3 to 6 cells a side by up to 0.24 of a cell, smoothly in between."""
+def grid_distortion(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> WarpDraw:
+    """Shift the nodes of a grid of 3 to 6 cells per side by up to 0.24 of a cell, with bicubic interpolation."""
     n_cells = int(rng.integers(GRID_CELLS[0], GRID_CELLS[1] + 1))
-    cell = np.array([size[0] / n_cells, size[1] / n_cells], np.float32)
-    shifts = rng.uniform(-GRID_SHIFT, GRID_SHIFT, (n_cells + 1, n_cells + 1, 2)).astype(np.float32) * cell
+    cell_px = np.array([size[0] / n_cells, size[1] / n_cells], np.float32)
+    shifts = rng.uniform(-GRID_SHIFT_CELLS, GRID_SHIFT_CELLS, (n_cells + 1, n_cells + 1, 2)).astype(np.float32)
+    shifts *= cell_px
     field = cv2.resize(shifts, size, interpolation=cv2.INTER_CUBIC)
 
     def warp(points: np.ndarray) -> np.ndarray:
-        x, y = np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1])
-        return points + cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return points + sample(field, points, cv2.BORDER_REPLICATE)
 
     return warp, center, {"n_cells": n_cells, "largest_shift_px": float(np.abs(shifts).max())}
 
 
-def cropping(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> Drawn:
-    """Another section of the scene: hand 0.45 to 1.4 times as large (log-uniform), near the middle."""
+def cropping(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> WarpDraw:
+    """Scale the hand by 0.45 to 1.4 (log-uniform) and move its center to a place near the middle of the image."""
     scale = float(np.exp(rng.uniform(*np.log(SCALES))))
     moved = rng.uniform(0.25, 0.75, 2) * size
 
@@ -78,3 +76,13 @@ def cropping(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray
         return ((points - moved.astype(np.float32)) / np.float32(scale) + center).astype(np.float32)
 
     return warp, moved, {"scale": scale, "x": float(moved[0] / size[0]), "y": float(moved[1] / size[1])}
+
+
+def sample(image: np.ndarray, points: np.ndarray, border: int) -> np.ndarray:
+    """Sample an image at points ``(H, W, 2)`` float32 by bilinear interpolation; a constant ``border`` is 0."""
+    x, y = np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1])
+    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=border)
+
+
+WARPS = {draw.__name__: draw for draw in (flip, rotation, grid_distortion, cropping)}
+"""By name of the method, in order of application."""

@@ -1,27 +1,28 @@
-"""A picture in the making: the hand in front, its coverage, and what lies behind."""
+"""Composition of an image from layers: the hand in front, its coverage, and the background."""
 
 import dataclasses
 
 import cv2
 import numpy as np
 
+from deltasafe.perception.data.augmentation.accessories import add_rings, add_sleeve, add_strap
 from deltasafe.perception.data.augmentation.background import Backgrounds, draw_background
-from deltasafe.perception.data.augmentation.cutout import CutOut
-from deltasafe.perception.data.augmentation.worn import add_rings, add_sleeve, add_strap
+from deltasafe.perception.data.augmentation.geometry import sample
+from deltasafe.perception.data.augmentation.hand_cutout import HandCutout
 
 __all__ = ["Layers"]
 
-SHADOW_SHARE = 0.65
+P_SHADOW = 0.65
 
 
 @dataclasses.dataclass
 class Layers:
-    """Hand and surroundings on one canvas, not yet joined.
+    """Hand and background on one canvas, before they are blended.
 
     Attributes:
-        rgb: ``(H, W, 3)`` float32 in [0, 1], the hand; meaningless where ``alpha`` is 0.
-        alpha: ``(H, W)`` float32 in [0, 1], coverage by the hand: what the mask is made of.
-        background: ``(H, W, 3)`` float32 in [0, 1], all that is not hand.
+        rgb: ``(H, W, 3)`` float32 in [0, 1], the hand; undefined where ``alpha`` is 0.
+        alpha: ``(H, W)`` float32 in [0, 1], coverage by the hand; the mask is computed from it.
+        background: ``(H, W, 3)`` float32 in [0, 1], everything except the hand.
     """
 
     rgb: np.ndarray
@@ -29,56 +30,49 @@ class Layers:
     background: np.ndarray
 
     @classmethod
-    def sample(cls, hand: CutOut, points: np.ndarray) -> "Layers":
-        """The cut-out as seen at points ``(H, W, 2)`` of its image, in front of its own surroundings.
+    def sample(cls, hand: HandCutout, points: np.ndarray) -> "Layers":
+        """Sample the cut-out and its own background at points ``(H, W, 2)`` of its image.
 
-        Outside the image there is no hand, except where the arm goes on.
+        Outside the image there is no hand, except where the arm is continued.
         """
-        on_arm = points if hand.arm is None else hand.arm.continued(points, *hand.alpha.shape[::-1])
-        x, y = np.ascontiguousarray(on_arm[..., 0]), np.ascontiguousarray(on_arm[..., 1])
-        rgb = cv2.remap(hand.rgb, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        alpha = cv2.remap(hand.alpha, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        on_arm = points if hand.arm is None else hand.arm.extend(points, *hand.alpha.shape[::-1])
+        rgb = sample(hand.rgb, on_arm, cv2.BORDER_REPLICATE)
+        alpha = sample(hand.alpha, on_arm, cv2.BORDER_CONSTANT)
         if hand.arm is not None:
             along, _ = hand.arm.coordinates(points)
-            smooth = cv2.remap(hand.smooth, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            rgb = rgb + (smooth - rgb) * np.clip(along / (0.2 * hand.arm.width), 0.0, 1.0)[..., None]
-        x, y = np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1])
-        behind = cv2.remap(hand.surroundings, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-        return cls(rgb, alpha, behind)
+            smooth = sample(hand.smooth_rgb, on_arm, cv2.BORDER_REPLICATE)
+            rgb = rgb + (smooth - rgb) * np.clip(along / (0.2 * hand.arm.width_px), 0.0, 1.0)[..., None]
+        return cls(rgb, alpha, sample(hand.background, points, cv2.BORDER_REFLECT))
 
-    def put_elsewhere(
-        self, rng: np.random.Generator, hand: CutOut, points: np.ndarray, backgrounds: Backgrounds
+    def replace_background(
+        self, rng: np.random.Generator, hand: HandCutout, points: np.ndarray, backgrounds: Backgrounds
     ) -> dict[str, object]:
-        """Replace all that is not hand, dress the arm, cast its shadow; returns what was drawn."""
+        """Draw a background, clothing and jewelry, and the hand's shadow; returns the drawn parameters."""
         height, width = self.alpha.shape
         self.background, drawn = draw_background(rng, backgrounds, width, height)
-        sleeve, cover = np.zeros_like(self.rgb), np.zeros_like(self.alpha)
+        sleeve, sleeve_alpha = np.zeros_like(self.rgb), np.zeros_like(self.alpha)
         if hand.arm is not None:
             along, across = hand.arm.coordinates(points)
             drawn["strap"] = add_strap(rng, hand.arm, along, across, self.rgb)
-            sleeve, cover, self.alpha, drawn["sleeve"] = add_sleeve(rng, hand.arm, along, across, self.alpha)
+            sleeve, sleeve_alpha, self.alpha, drawn["sleeve"] = add_sleeve(rng, hand.arm, along, across, self.alpha)
         drawn["rings"] = add_rings(rng, self.rgb, self.alpha)
-        drawn["shadow"] = self._cast_shadow(rng, np.maximum(self.alpha, cover))
-        self.background += (sleeve - self.background) * cover[..., None]
+        drawn["shadow"] = self._cast_shadow(rng, np.maximum(self.alpha, sleeve_alpha))
+        self.background += (sleeve - self.background) * sleeve_alpha[..., None]
         return {name: value for name, value in drawn.items() if value}
 
-    def composed(self) -> np.ndarray:
-        """The hand in front of the background, ``(H, W, 3)`` float32 in [0, 1]."""
+    def compose(self) -> np.ndarray:
+        """Blend the hand over the background: ``(H, W, 3)`` float32 in [0, 1]."""
         return self.background + (self.rgb - self.background) * self.alpha[..., None]
 
-    def _cast_shadow(self, rng: np.random.Generator, cover: np.ndarray) -> dict[str, float]:
-        if rng.random() >= SHADOW_SHARE:
+    def _cast_shadow(self, rng: np.random.Generator, coverage: np.ndarray) -> dict[str, float]:
+        if rng.random() >= P_SHADOW:
             return {}
-        height, width = cover.shape
+        height, width = coverage.shape
         x, y = rng.uniform(-0.08, 0.08, 2) * width
         softness = float(np.exp(rng.uniform(*np.log((0.003, 0.05))))) * width
         strength = float(rng.uniform(0.15, 0.75))
-        moved = cv2.warpAffine(
-            cover,
-            np.array([[1, 0, x], [0, 1, y]], np.float32),
-            (width, height),
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        shadow = cv2.GaussianBlur(moved, (0, 0), softness, borderType=cv2.BORDER_REPLICATE)
+        shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
+        shadow = cv2.warpAffine(coverage, shift, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        shadow = cv2.GaussianBlur(shadow, (0, 0), softness, borderType=cv2.BORDER_REPLICATE)
         self.background *= (1 - np.float32(strength) * shadow)[..., None]
         return {"x_px": float(x), "y_px": float(y), "softness_px": softness, "strength": strength}

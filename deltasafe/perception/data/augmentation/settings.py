@@ -1,39 +1,28 @@
-"""What can be chosen about the augmentation."""
+"""Settings of the augmentation, importable without OpenCV."""
 
 import dataclasses
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["METHOD_NAMES", "AugmentationSettings"]
+__all__ = ["METHOD_NAMES", "AugmentationSettings", "check_minimum"]
 
-METHOD_NAMES = (
-    "background",
-    "flip",
-    "rotation",
-    "grid_distortion",
-    "cropping",
-    "color",
-    "noise",
-    "random_erase",
-)
+METHOD_NAMES = ("background", "flip", "rotation", "grid_distortion", "cropping", "color", "noise", "random_erase")
 
 
 @dataclasses.dataclass(frozen=True)
 class AugmentationSettings:
-    """How each original becomes many images (section III-C of the paper; decision 8).
+    """How the augmentation makes new images from each original (section III-C of the paper; decision 8).
 
     Attributes:
-        n_variants: new images for each original; the originals themselves are not among them.
+        n_variants: new images per original; the originals themselves are not part of the augmented set.
         width: columns of the stored images, in pixels.
         height: rows of the stored images, in pixels.
-        probability: chance of each of the seven methods that follow the background, independently.
-        supersampling: geometry and composition happen at this multiple of the stored size, and are reduced by
-            area.
-        left_out: names of methods that are never applied, for ablations; leaving one out changes nothing in
-            the draws
-            of the others.
-        seed: of the whole set; each image's own seed is a hash of it, the original's id and the variant's
-            number.
+        probability: probability of each of the seven methods after the background; the draws are independent.
+        supersampling: images are composed at this multiple of the stored size and then downsampled by area.
+        left_out: names of methods that are never applied, for ablations. The random draws of the other methods
+            do not change.
+        seed: of the whole set. Each image has its own seed: a hash of this one, the id of the original and the
+            number of the variant.
     """
 
     n_variants: int = 20
@@ -46,18 +35,20 @@ class AugmentationSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "left_out", tuple(self.left_out))
-        for name, least in (
-            ("n_variants", 1),
-            ("width", 32),
-            ("height", 32),
-            ("supersampling", 1),
-            ("seed", 0),
-        ):
-            value = getattr(self, name)
-            if value < least:
-                raise SettingsError(f"{name} is {value}; choose at least {least}")
+        check_minimum(self, n_variants=1, width=32, height=32, supersampling=1, seed=0)
         if not 0.0 <= self.probability <= 1.0:
             raise SettingsError(f"probability is {self.probability}; choose a number from 0 to 1 (the paper: 0.5)")
         unknown = sorted(set(self.left_out) - set(METHOD_NAMES))
         if unknown:
             raise SettingsError(f"left_out holds {unknown}; the methods are {', '.join(METHOD_NAMES)}")
+
+
+def check_minimum(settings: object, **minimums: int) -> None:
+    """Check that each named field of ``settings`` is at least its minimum.
+
+    Raises:
+        SettingsError: names the first field that is too small.
+    """
+    for name, minimum in minimums.items():
+        if getattr(settings, name) < minimum:
+            raise SettingsError(f"{name} is {getattr(settings, name)}; choose at least {minimum}")

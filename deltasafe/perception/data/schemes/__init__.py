@@ -1,7 +1,7 @@
 """The augmentation schemes of Tables I and II: ours and the four that the paper compares it with.
 
-Each makes exactly ``n_variants`` new images of every original; `deltasafe.perception.data.augmented_set` stores
-them. Settings are at hand without OpenCV; what makes the images lies in `deltasafe.perception.data.schemes.generation`.
+Each scheme makes exactly ``n_variants`` new images of every original; `deltasafe.perception.data.augmented_set` stores
+them. This package exports the settings, which do not need OpenCV. `generation` makes the images.
 """
 
 from deltasafe.perception.data.schemes.settings import (
@@ -12,7 +12,7 @@ from deltasafe.perception.data.schemes.settings import (
     FlipRotateCropSettings,
     MixupSettings,
     SchemeSettings,
-    scheme_of,
+    scheme_name,
 )
 
 __all__ = [
@@ -23,5 +23,5 @@ __all__ = [
     "FlipRotateCropSettings",
     "MixupSettings",
     "SchemeSettings",
-    "scheme_of",
+    "scheme_name",
 ]

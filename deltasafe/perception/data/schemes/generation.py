@@ -1,119 +1,67 @@
-"""From a scheme's settings to what makes its images, original by original; each image has a seed of its own."""
+"""Generation of all variants of one original, for every scheme; each image has its own seed."""
 
-import dataclasses
-import hashlib
-from typing import Protocol
+import functools
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from deltasafe.perception.data.augmentation import (
-    AugmentationSettings,
-    Augmented,
-    Backgrounds,
-    augment,
-    cut_out,
-    image_seed,
-)
+from deltasafe.perception.data.augmentation import AugmentationSettings
+from deltasafe.perception.data.augmentation.augment import AugmentedImage, augment, cut_out_hand, image_seed
+from deltasafe.perception.data.augmentation.background import Backgrounds
 from deltasafe.perception.data.labeled_images import LabeledImageSet
-from deltasafe.perception.data.schemes.cutout import Cutout
-from deltasafe.perception.data.schemes.flip_rotate90 import FlipRotate90
-from deltasafe.perception.data.schemes.flip_rotate_crop import FlipRotateCrop
-from deltasafe.perception.data.schemes.mixup import Mixup
-from deltasafe.perception.data.schemes.originals import Originals
-from deltasafe.perception.data.schemes.settings import (
-    ComparedSettings,
-    CutoutSettings,
-    FlipRotate90Settings,
-    FlipRotateCropSettings,
-    MixupSettings,
-    SchemeSettings,
-)
+from deltasafe.perception.data.schemes.cutout import cutout
+from deltasafe.perception.data.schemes.flip_rotate90 import flip_rotate90
+from deltasafe.perception.data.schemes.flip_rotate_crop import flip_rotate_crop
+from deltasafe.perception.data.schemes.mixup import mixup
+from deltasafe.perception.data.schemes.originals import Originals, Variant
+from deltasafe.perception.data.schemes.settings import ComparedSettings, SchemeSettings, scheme_name
 
-__all__ = ["Maker", "maker_of", "stored_form"]
+__all__ = ["VariantGenerator", "size_and_mask_dtype", "variant_generator"]
 
+VariantGenerator: TypeAlias = Callable[[int], list[AugmentedImage]]
+"""Returns all variants of the original with this index, always the same bytes, in any process and any order."""
 
-class Maker(Protocol):
-    """Makes all variants of one original: anywhere, in any order, always the same bytes."""
-
-    def variants(self, i: int) -> list[Augmented]:
-        """Of the ``i``-th original."""
+_METHODS: dict[str, Callable[[Originals, int, Any, np.random.Generator], Variant]] = {
+    "cutout": cutout,
+    "mixup": mixup,
+    "flip_rotate90": flip_rotate90,
+    "flip_rotate_crop": flip_rotate_crop,
+}
 
 
-def maker_of(hands: LabeledImageSet, backgrounds: Backgrounds, settings: SchemeSettings) -> Maker:
-    """What makes the images of a scheme from the originals; only our scheme looks at ``backgrounds``.
+def variant_generator(images: LabeledImageSet, backgrounds: Backgrounds, settings: SchemeSettings) -> VariantGenerator:
+    """Create the generator of a scheme; only our scheme uses ``backgrounds``.
 
     Raises:
         DataError: an original is defective.
     """
     if isinstance(settings, AugmentationSettings):
-        return _Massive(hands, backgrounds, settings)
-    return _Compared(_method(hands, settings), settings)
+        return functools.partial(_our_variants, images, backgrounds, settings)
+    scale = getattr(settings, "supersampling", 1)
+    originals = Originals.load(images, settings.width * scale, settings.height * scale)
+    return functools.partial(_compared_variants, originals, settings)
 
 
-def stored_form(settings: SchemeSettings) -> tuple[tuple[int, int], type[np.uint8] | type[np.uint16]]:
-    """Rows and columns of the stored images, and the type of their masks: uint16 is soft."""
+def size_and_mask_dtype(settings: SchemeSettings) -> tuple[tuple[int, int], type[np.uint8] | type[np.uint16]]:
+    """Rows and columns of the stored images, and the dtype of their masks: uint16 for soft masks."""
     side = max(settings.height, settings.width)
-    square = isinstance(settings, FlipRotate90Settings)
-    shape = (side, side) if square else (settings.height, settings.width)
-    return shape, np.uint16 if isinstance(settings, MixupSettings) else np.uint8
+    size = (side, side) if scheme_name(settings) == "flip_rotate90" else (settings.height, settings.width)
+    return size, np.uint16 if scheme_name(settings) == "mixup" else np.uint8
 
 
-@dataclasses.dataclass(frozen=True)
-class _Massive:
-    """The paper's scheme."""
-
-    hands: LabeledImageSet
-    backgrounds: Backgrounds
-    settings: AugmentationSettings
-
-    def variants(self, i: int) -> list[Augmented]:
-        hand = cut_out(*self.hands.read(i), self.settings)
-        image_id = self.hands.items[i].id
-        return [
-            augment(image_id, hand, variant, self.backgrounds, self.settings)
-            for variant in range(self.settings.n_variants)
-        ]
+def _our_variants(
+    images: LabeledImageSet, backgrounds: Backgrounds, settings: AugmentationSettings, i: int
+) -> list[AugmentedImage]:
+    hand, image_id = cut_out_hand(*images.read(i), settings), images.items[i].id
+    return [augment(image_id, hand, variant, backgrounds, settings) for variant in range(settings.n_variants)]
 
 
-class _Method(Protocol):
-    @property
-    def originals(self) -> Originals: ...
-
-    def make(self, i: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, list[dict[str, object]]]: ...
-
-
-@dataclasses.dataclass(frozen=True)
-class _Compared:
-    """One of the schemes that the paper compares with."""
-
-    method: _Method
-    settings: ComparedSettings
-
-    def variants(self, i: int) -> list[Augmented]:
-        image_id = self.method.originals.ids[i]
-        made = []
-        for variant in range(self.settings.n_variants):
-            seed = image_seed(image_id, variant, self.settings.seed)
-            image, mask, done = self.method.make(i, np.random.default_rng(seed))
-            recipe = {
-                "source": image_id,
-                "variant": variant,
-                "seed": seed,
-                "operations": done,
-                "digest": hashlib.sha256(image.tobytes() + mask.tobytes()).hexdigest(),
-            }
-            made.append(Augmented(image, mask, recipe))
-        return made
-
-
-def _method(hands: LabeledImageSet, settings: ComparedSettings) -> _Method:
-    if isinstance(settings, FlipRotateCropSettings):
-        factor = settings.supersampling
-        return FlipRotateCrop(Originals.of(hands, settings.width * factor, settings.height * factor), settings)
-    originals = Originals.of(hands, settings.width, settings.height)
-    if isinstance(settings, CutoutSettings):
-        return Cutout(originals, settings)
-    if isinstance(settings, MixupSettings):
-        return Mixup(originals, settings)
-    assert isinstance(settings, FlipRotate90Settings)
-    return FlipRotate90(originals, settings)
+def _compared_variants(originals: Originals, settings: ComparedSettings, i: int) -> list[AugmentedImage]:
+    method, image_id, variants = _METHODS[scheme_name(settings)], originals.ids[i], []
+    for variant in range(settings.n_variants):
+        seed = image_seed(image_id, variant, settings.seed)
+        image, mask, operations = method(originals, i, settings, np.random.default_rng(seed))
+        recipe = {"source": image_id, "variant": variant, "seed": seed, "operations": operations}
+        variants.append(AugmentedImage.with_digest(image, mask, recipe))
+    return variants

@@ -1,4 +1,4 @@
-"""A hand set is checked before use; every defect has its own message naming the file and the remedy."""
+"""A labeled image set is checked before use; the error of each defect names the file and the remedy."""
 
 import pathlib
 import shutil
@@ -22,7 +22,7 @@ def write(path: pathlib.Path, pixels: np.ndarray) -> None:
     assert cv2.imwrite(str(path), pixels)
 
 
-def picture(seed: int, height: int = 24, width: int = 32) -> tuple[np.ndarray, np.ndarray]:
+def image_and_mask(seed: int, height: int = 24, width: int = 32) -> tuple[np.ndarray, np.ndarray]:
     mask = np.zeros((height, width), np.uint8)
     mask[6:18, 8:24] = 255
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8), mask
@@ -31,7 +31,7 @@ def picture(seed: int, height: int = 24, width: int = 32) -> tuple[np.ndarray, n
 @pytest.fixture
 def folder(tmp_path: pathlib.Path) -> pathlib.Path:
     for name, seed in (("b", 1), ("a", 2), ("Hände 手", 3)):
-        bgr, mask = picture(seed, 24 + seed, 32)
+        bgr, mask = image_and_mask(seed, 24 + seed, 32)
         write(tmp_path / "set" / "images" / f"{seed}.png", bgr)
         write(tmp_path / "set" / "masks" / f"{seed}.png", mask)
         for kind in ("images", "masks"):
@@ -46,28 +46,28 @@ def registered(folder: pathlib.Path) -> pathlib.Path:
     return registry
 
 
-def test_reads_rgb_and_binary_masks_of_any_size_in_the_order_of_their_ids(folder: pathlib.Path) -> None:
-    hands = LabeledImageSet.load(folder)
-    assert [item.id for item in hands.items] == ["Hände 手", "a", "b"]
-    assert len(hands) == 3
-    rgb, mask = hands.read(2)
-    bgr, expected = picture(1, 25, 32)
+def test_reads_rgb_and_masks_of_any_size_sorted_by_id(folder: pathlib.Path) -> None:
+    images = LabeledImageSet.load(folder)
+    assert [item.id for item in images.items] == ["Hände 手", "a", "b"]
+    assert len(images) == 3
+    rgb, mask = images.read(2)
+    bgr, expected = image_and_mask(1, 25, 32)
     np.testing.assert_array_equal(rgb, bgr[..., ::-1])
     np.testing.assert_array_equal(mask, expected // 255)
-    assert hands.read(0)[0].shape == (27, 32, 3)
+    assert images.read(0)[0].shape == (27, 32, 3)
 
 
-def test_the_digest_follows_the_content_and_not_the_place(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
+def test_digest_depends_on_content_and_not_on_path(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
     copy = tmp_path / "elsewhere"
     shutil.copytree(folder, copy)
     assert LabeledImageSet.load(copy).digest == LabeledImageSet.load(folder).digest
-    mask = picture(1, 25, 32)[1]
+    mask = image_and_mask(1, 25, 32)[1]
     mask[0, 0] = 255
     write(copy / "masks" / "b.png", mask)
     assert LabeledImageSet.load(copy).digest != LabeledImageSet.load(folder).digest
 
 
-def test_the_packaged_sets_are_as_registered_and_disjoint() -> None:
+def test_packaged_sets_match_the_registry_and_are_disjoint() -> None:
     registry = DATASETS / "registry.sha256"
     train = LabeledImageSet.load(DATASETS / "hands" / "train", registry)
     test = LabeledImageSet.load(DATASETS / "hands" / "test", registry)
@@ -75,12 +75,12 @@ def test_the_packaged_sets_are_as_registered_and_disjoint() -> None:
     check_disjoint(train, test)
 
 
-def test_the_registry_lists_every_file_of_the_datasets_sorted_and_true() -> None:
+def test_registry_lists_every_file_of_the_datasets() -> None:
     registry = read_registry(DATASETS / "registry.sha256")
     files = [p for p in DATASETS.rglob("*") if p.is_file() and p.name not in ("registry.sha256", "README.md")]
     assert list(registry) == sorted(p.relative_to(DATASETS).as_posix() for p in files)
     sha256sum = shutil.which("sha256sum")
-    if sha256sum:  # a second, independent implementation
+    if sha256sum:  # an independent implementation
         subprocess.run([sha256sum, "--check", "--quiet", "registry.sha256"], cwd=DATASETS, check=True)
     else:
         assert all(sha256_of_file(DATASETS / name) == digest for name, digest in registry.items())
@@ -108,7 +108,7 @@ def no_images(folder: pathlib.Path) -> pathlib.Path:
 
 
 def gray_image(folder: pathlib.Path) -> pathlib.Path:
-    write(folder / "images" / "a.png", picture(2, 26)[1])
+    write(folder / "images" / "a.png", image_and_mask(2, 26)[1])
     return folder / "images" / "a.png"
 
 
@@ -123,7 +123,7 @@ def deep_image(folder: pathlib.Path) -> pathlib.Path:
 
 
 def other_size(folder: pathlib.Path) -> pathlib.Path:
-    write(folder / "masks" / "a.png", picture(2, 20)[1])
+    write(folder / "masks" / "a.png", image_and_mask(2, 20)[1])
     return folder / "masks" / "a.png"
 
 
@@ -133,14 +133,14 @@ def colored_mask(folder: pathlib.Path) -> pathlib.Path:
 
 
 def gray_values(folder: pathlib.Path) -> pathlib.Path:
-    mask = picture(2, 26)[1]
+    mask = image_and_mask(2, 26)[1]
     mask[3, 3] = 7
     write(folder / "masks" / "a.png", mask)
     return folder / "masks" / "a.png"
 
 
 def zero_one_mask(folder: pathlib.Path) -> pathlib.Path:
-    write(folder / "masks" / "a.png", picture(2, 26)[1] // 255)
+    write(folder / "masks" / "a.png", image_and_mask(2, 26)[1] // 255)
     return folder / "masks" / "a.png"
 
 
@@ -171,26 +171,26 @@ def same_stem(folder: pathlib.Path) -> pathlib.Path:
     return folder / "images" / "a.png"
 
 
-def test_a_header_that_claims_too_much_is_refused_before_anything_is_decoded(folder: pathlib.Path) -> None:
+def test_header_with_too_many_pixels_is_refused(folder: pathlib.Path) -> None:
     path = folder / "images" / "a.png"
     data = path.read_bytes()
     header = b"IHDR" + struct.pack(">II", 90_000, 90_000) + data[24:29]
     path.write_bytes(data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:])
-    with pytest.raises(DataError, match=r"a\.png: "):
+    with pytest.raises(DataError, match=r"a\.png: (has 90000 x 90000 pixels|is not a readable image)"):
         LabeledImageSet.load(folder)
 
 
-def test_half_a_jpeg_is_refused(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
-    write(tmp_path / "a.jpg", picture(2, 200, 300)[0])
+def test_truncated_jpeg_is_refused(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    write(tmp_path / "a.jpg", image_and_mask(2, 200, 300)[0])
     data = (tmp_path / "a.jpg").read_bytes()
     read_rgb(tmp_path / "a.jpg")
     (tmp_path / "a.jpg").write_bytes(data[: len(data) // 2])
-    with pytest.raises(DataError, match=r"a\.jpg: is no readable image"):
+    with pytest.raises(DataError, match=r"a\.jpg: is not a readable image"):
         read_rgb(tmp_path / "a.jpg")
 
 
 @pytest.mark.parametrize(
-    ("spoil", "says"),
+    ("make_defect", "message"),
     [
         (missing_mask, "no counterpart in masks/"),
         (missing_image, "no counterpart in images/"),
@@ -204,24 +204,24 @@ def test_half_a_jpeg_is_refused(folder: pathlib.Path, tmp_path: pathlib.Path) ->
         (gray_values, r"value\(s\) 7; only 0 and 255"),
         (zero_one_mask, r"value\(s\) 1; only 0 and 255"),
         (empty_mask, "marks no hand"),
-        (truncated, "no readable image"),
-        (empty_file, "no readable image .0 bytes"),
-        (stray_file, "is no image"),
-        (same_stem, "has the stem of a.jpg"),
+        (truncated, "not a readable image"),
+        (empty_file, "not a readable image .0 bytes"),
+        (stray_file, "is not an image"),
+        (same_stem, "has the same stem as a.jpg"),
     ],
     ids=lambda value: value.__name__ if callable(value) else "",
 )
-def test_every_defect_is_named(folder: pathlib.Path, spoil, says: str) -> None:
-    culprit = spoil(folder)
-    with pytest.raises(DataError, match=says) as caught:
+def test_defects_are_refused_by_name(folder: pathlib.Path, make_defect, message: str) -> None:
+    defective = make_defect(folder)
+    with pytest.raises(DataError, match=message) as caught:
         LabeledImageSet.load(folder)
-    assert caught.value.path == culprit
+    assert caught.value.path == defective
 
 
-def test_a_file_changed_since_registration_is_refused(folder: pathlib.Path) -> None:
+def test_file_changed_since_registration_is_refused(folder: pathlib.Path) -> None:
     registry = registered(folder)
     LabeledImageSet.load(folder, registry)
-    mask = picture(2, 26)[1]
+    mask = image_and_mask(2, 26)[1]
     mask[0, 0] = 255
     write(folder / "masks" / "a.png", mask)
     with pytest.raises(DataError, match="registered is") as caught:
@@ -229,7 +229,7 @@ def test_a_file_changed_since_registration_is_refused(folder: pathlib.Path) -> N
     assert caught.value.path == folder / "masks" / "a.png"
 
 
-def test_an_unregistered_file_is_refused(folder: pathlib.Path) -> None:
+def test_unregistered_file_is_refused(folder: pathlib.Path) -> None:
     registry = registered(folder)
     for kind in ("images", "masks"):
         shutil.copy(folder / kind / "a.png", folder / kind / "new.png")
@@ -237,7 +237,7 @@ def test_an_unregistered_file_is_refused(folder: pathlib.Path) -> None:
         LabeledImageSet.load(folder, registry)
 
 
-def test_a_missing_or_malformed_registry_is_refused(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
+def test_missing_or_malformed_registry_is_refused(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
     with pytest.raises(DataError, match="is missing"):
         LabeledImageSet.load(folder, tmp_path / "none.sha256")
     (tmp_path / "bad.sha256").write_text("abc  images/a.png\n")
@@ -245,19 +245,19 @@ def test_a_missing_or_malformed_registry_is_refused(folder: pathlib.Path, tmp_pa
         LabeledImageSet.load(folder, tmp_path / "bad.sha256")
 
 
-def test_an_image_in_both_sets_is_found_under_another_name(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
-    bgr, mask = picture(1, 25, 32)
+def test_image_in_both_sets_is_found_under_another_name(folder: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    bgr, mask = image_and_mask(1, 25, 32)
     write(tmp_path / "test" / "images" / "renamed.png", bgr)
     write(tmp_path / "test" / "masks" / "renamed.png", mask)
-    # other bytes, the same pixels
+    # same pixels, other bytes
     assert cv2.imwrite(str(tmp_path / "test/images/renamed.png"), bgr, [cv2.IMWRITE_PNG_COMPRESSION, 0])
     with pytest.raises(DataError, match=r"same pixels as .*b\.png") as caught:
         check_disjoint(LabeledImageSet.load(folder), LabeledImageSet.load(tmp_path / "test"))
     assert caught.value.path.name == "renamed.png"
 
 
-def test_a_picture_that_asks_to_be_turned_is_refused(folder: pathlib.Path) -> None:
-    """Viewers and labelling tools turn it, decoders of raw pixels do not: the mask would be that of another picture."""
+def test_exif_rotation_is_refused(folder: pathlib.Path) -> None:
+    """Labeling tools rotate such an image and OpenCV does not, so the mask would not match the pixels."""
     from PIL import Image
 
     path = folder / "images" / "a.jpg"

@@ -1,7 +1,6 @@
-"""The compared schemes: counts, image and mask in step, what each of them promises, the same bytes again."""
+"""The compared schemes: number of images, alignment of image and mask, and the properties of each scheme."""
 
 import pathlib
-import shutil
 
 import numpy as np
 import pytest
@@ -20,13 +19,13 @@ from deltasafe.perception.data.schemes import (
     FlipRotate90Settings,
     FlipRotateCropSettings,
     MixupSettings,
-    scheme_of,
+    scheme_name,
 )
-from deltasafe.perception.data.schemes.cutout import Cutout
-from deltasafe.perception.data.schemes.flip_rotate90 import FlipRotate90, padded_to_square, symmetry
-from deltasafe.perception.data.schemes.flip_rotate_crop import FlipRotateCrop, section
-from deltasafe.perception.data.schemes.mixup import Mixup
-from deltasafe.perception.data.schemes.originals import Originals, reduced
+from deltasafe.perception.data.schemes.cutout import cutout
+from deltasafe.perception.data.schemes.flip_rotate90 import apply_symmetry, flip_rotate90, pad_to_square
+from deltasafe.perception.data.schemes.flip_rotate_crop import crop_matrix, flip_rotate_crop
+from deltasafe.perception.data.schemes.mixup import mixup
+from deltasafe.perception.data.schemes.originals import Originals, crop_and_resize
 
 DATASETS = pathlib.Path(__file__).parents[4] / "datasets"
 COMPARED = [name for name in SCHEMES if name != "ours"]
@@ -34,36 +33,26 @@ WIDTH, HEIGHT = 96, 72
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def hand(x, y):
-    """Where the hand of a coordinate image is."""
+def is_hand(x, y):
+    """Mask of a coordinate image."""
     return (x + 2 * y > 70).astype(np.uint8)
 
 
 def coordinate_images(n: int = 3) -> Originals:
-    """Images whose red and green say where a pixel comes from, and whose blue says from which image."""
+    """Images whose red and green are the pixel's x and y, and whose blue is the number of the image."""
     x, y = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     images = np.stack([np.stack([x, y, np.full_like(x, 200 + i)], axis=-1) for i in range(n)]).astype(np.uint8)
-    return Originals(tuple(f"image_{i}" for i in range(n)), images, np.stack([hand(x, y)] * n))
+    return Originals(tuple(f"image_{i}" for i in range(n)), images, np.stack([is_hand(x, y)] * n))
 
 
 ORIGINALS = coordinate_images()
 
 
-@pytest.fixture(scope="module")
-def hands(tmp_path_factory: pytest.TempPathFactory) -> LabeledImageSet:
-    folder = tmp_path_factory.mktemp("hands") / "three"
-    for kind in ("images", "masks"):
-        (folder / kind).mkdir(parents=True)
-        for source in sorted((DATASETS / "hands" / "train" / kind).iterdir())[:3]:
-            shutil.copy(source, folder / kind)
-    return LabeledImageSet.load(folder)
-
-
 @given(SEEDS, st.floats(0.05, 1.0))
 @settings(max_examples=60, deadline=None)
-def test_cutout_hides_exactly_the_clipped_square_and_leaves_the_mask(seed: int, side: float) -> None:
-    method = Cutout(ORIGINALS, CutoutSettings(width=WIDTH, height=HEIGHT, side=side))
-    image, mask, (done,) = method.make(1, np.random.default_rng(seed))
+def test_cutout_fills_the_clipped_square_and_keeps_the_mask(seed: int, side: float) -> None:
+    chosen = CutoutSettings(width=WIDTH, height=HEIGHT, side=side)
+    image, mask, (done,) = cutout(ORIGINALS, 1, chosen, np.random.default_rng(seed))
     np.testing.assert_array_equal(mask, ORIGINALS.masks[1])
     length = round(side * HEIGHT)
     assert done["side"] == length
@@ -77,9 +66,9 @@ def test_cutout_hides_exactly_the_clipped_square_and_leaves_the_mask(seed: int, 
     np.testing.assert_array_equal(image[~hidden], ORIGINALS.images[1][~hidden])
 
 
-def test_cutouts_squares_are_centered_anywhere_and_the_paper_sides_are_half_and_a_quarter() -> None:
-    method = Cutout(ORIGINALS, CutoutSettings(width=WIDTH, height=HEIGHT))
-    drawn = [method.make(0, np.random.default_rng(seed))[2][0] for seed in range(4000)]
+def test_cutout_centers_are_uniform_over_the_image() -> None:
+    chosen = CutoutSettings(width=WIDTH, height=HEIGHT)
+    drawn = [cutout(ORIGINALS, 0, chosen, np.random.default_rng(seed))[2][0] for seed in range(4000)]
     tops = np.array([done["top"] for done in drawn]) + HEIGHT // 4
     assert {done["side"] for done in drawn} == {HEIGHT // 2}
     assert (tops.min(), tops.max()) == (0, HEIGHT - 1)
@@ -89,9 +78,9 @@ def test_cutouts_squares_are_centered_anywhere_and_the_paper_sides_are_half_and_
 
 @given(SEEDS, st.floats(0.05, 4.0), st.integers(0, 2))
 @settings(max_examples=60, deadline=None)
-def test_mixup_is_convex_and_its_label_is_the_mix_of_both(seed: int, alpha: float, i: int) -> None:
-    method = Mixup(ORIGINALS, MixupSettings(width=WIDTH, height=HEIGHT, alpha=alpha))
-    image, mask, (done,) = method.make(i, np.random.default_rng(seed))
+def test_mixup_blends_images_and_labels_with_the_same_weight(seed: int, alpha: float, i: int) -> None:
+    chosen = MixupSettings(width=WIDTH, height=HEIGHT, alpha=alpha)
+    image, mask, (done,) = mixup(ORIGINALS, i, chosen, np.random.default_rng(seed))
     j, share = ORIGINALS.ids.index(done["partner"]), done["share"]
     assert j != i
     assert 0.0 <= share <= 1.0
@@ -104,13 +93,13 @@ def test_mixup_is_convex_and_its_label_is_the_mix_of_both(seed: int, alpha: floa
     np.testing.assert_allclose(mask / 65535, exact, atol=0.5 / 65535 + 1e-12)
 
 
-def test_every_other_original_is_a_partner() -> None:
-    method = Mixup(ORIGINALS, MixupSettings(width=WIDTH, height=HEIGHT))
-    partners = {method.make(1, np.random.default_rng(seed))[2][0]["partner"] for seed in range(50)}
+def test_mixup_partner_is_any_other_original() -> None:
+    chosen = MixupSettings(width=WIDTH, height=HEIGHT)
+    partners = {mixup(ORIGINALS, 1, chosen, np.random.default_rng(seed))[2][0]["partner"] for seed in range(50)}
     assert partners == {"image_0", "image_2"}
 
 
-def test_cross_entropy_on_a_soft_mask_is_the_mix_of_both_losses() -> None:
+def test_cross_entropy_of_a_soft_mask_is_the_weighted_sum_of_both_losses() -> None:
     logits, share = torch.randn(5, 7, generator=torch.Generator().manual_seed(0)), 0.3
     first, second = torch.zeros(5, 7), torch.ones(5, 7)
     second[2:] = 0
@@ -122,31 +111,31 @@ def test_cross_entropy_on_a_soft_mask_is_the_mix_of_both_losses() -> None:
 @given(SEEDS)
 @settings(max_examples=30, deadline=None)
 def test_flip_and_quarter_turns_move_image_and_mask_alike(seed: int) -> None:
-    method = FlipRotate90(ORIGINALS, FlipRotate90Settings(width=WIDTH, height=HEIGHT))
-    image, mask, _ = method.make(2, np.random.default_rng(seed))
+    chosen = FlipRotate90Settings(width=WIDTH, height=HEIGHT)
+    image, mask, _ = flip_rotate90(ORIGINALS, 2, chosen, np.random.default_rng(seed))
     assert image.shape == (WIDTH, WIDTH, 3)
-    np.testing.assert_array_equal(mask, hand(image[..., 0].astype(int), image[..., 1].astype(int)))
+    np.testing.assert_array_equal(mask, is_hand(image[..., 0].astype(int), image[..., 1].astype(int)))
     found, times = np.unique(image.reshape(-1, 3), axis=0, return_counts=True)
-    assert len(found) == WIDTH * HEIGHT, "nothing of the original is lost"
-    assert set(times) == {1, 13}, "the border is repeated, twelve rows on either side"
+    assert len(found) == WIDTH * HEIGHT, "no pixel of the original is lost"
+    assert set(times) == {1, 13}, "the border is repeated in 12 rows on each side"
 
 
-def test_the_symmetries_are_closed_and_eight() -> None:
-    square = padded_to_square(ORIGINALS.images[0])
+def test_symmetries_form_a_group_of_eight() -> None:
+    square = pad_to_square(ORIGINALS.images[0])
     elements = [(flipped, turns) for flipped in (False, True) for turns in range(4)]
-    group = {symmetry(square, *element).tobytes() for element in elements}
+    group = {apply_symmetry(square, *element).tobytes() for element in elements}
     assert len(group) == 8
     for first in elements:
         for second in elements:
-            assert symmetry(symmetry(square, *first), *second).tobytes() in group
+            assert apply_symmetry(apply_symmetry(square, *first), *second).tobytes() in group
 
 
-def test_of_many_draws_at_most_eight_are_distinct_and_equally_likely() -> None:
-    method = FlipRotate90(ORIGINALS, FlipRotate90Settings(width=WIDTH, height=HEIGHT))
-    drawn = [method.make(0, np.random.default_rng(seed))[0].tobytes() for seed in range(800)]
+def test_all_eight_symmetries_are_drawn_equally_often() -> None:
+    chosen = FlipRotate90Settings(width=WIDTH, height=HEIGHT)
+    drawn = [flip_rotate90(ORIGINALS, 0, chosen, np.random.default_rng(seed))[0].tobytes() for seed in range(800)]
     counts = [drawn.count(one) for one in set(drawn)]
     assert len(counts) == 8
-    assert min(counts) > 60, "100 each, and a standard deviation of 9"
+    assert min(counts) > 60, "expected are 100 each, with a standard deviation of 9"
 
 
 @given(SEEDS, st.integers(1, 2))
@@ -155,7 +144,7 @@ def test_flip_rotation_and_crop_move_image_and_mask_alike(seed: int, supersampli
     chosen = FlipRotateCropSettings(
         width=WIDTH // supersampling, height=HEIGHT // supersampling, supersampling=supersampling
     )
-    image, mask, (flip, rotation, crop) = FlipRotateCrop(ORIGINALS, chosen).make(0, np.random.default_rng(seed))
+    image, mask, (flip, rotation, crop) = flip_rotate_crop(ORIGINALS, 0, chosen, np.random.default_rng(seed))
     assert image.shape == (chosen.height, chosen.width, 3)
     assert abs(rotation["angle_deg"]) <= 30
     assert 0.7 <= crop["side"] <= 1
@@ -164,8 +153,8 @@ def test_flip_rotation_and_crop_move_image_and_mask_alike(seed: int, supersampli
     red, green = image[..., 0].astype(float), image[..., 1].astype(float)
     distance = np.abs(red + 2 * green - 70.5)
     sure = distance > 3 * supersampling
-    np.testing.assert_array_equal(mask[sure], hand(red, green)[sure])
-    # where a pixel comes from, by hand: section, turn about the middle, mirror
+    np.testing.assert_array_equal(mask[sure], is_hand(red, green)[sure])
+    # the source of each pixel, step by step: crop, rotation about the center, mirroring
     x, y = np.meshgrid(np.arange(chosen.width), np.arange(chosen.height))
     x, y = (supersampling * (axis + 0.5) for axis in (x, y))
     x, y = x * crop["side"] + crop["x"] * WIDTH - WIDTH / 2, y * crop["side"] + crop["y"] * HEIGHT - HEIGHT / 2
@@ -177,39 +166,39 @@ def test_flip_rotation_and_crop_move_image_and_mask_alike(seed: int, supersampli
     assert np.abs(green - y)[inside].max() < 1.1
 
 
-def test_a_section_of_everything_is_the_picture_itself() -> None:
-    np.testing.assert_allclose(section(64, 48, False, 0.0, 1.0, (0.0, 0.0)), np.eye(2, 3), atol=1e-12)
-    mirrored = section(64, 48, True, 0.0, 1.0, (0.0, 0.0))
+def test_crop_of_the_whole_image_is_the_identity() -> None:
+    np.testing.assert_allclose(crop_matrix((64, 48), False, 0.0, 1.0, (0.0, 0.0)), np.eye(2, 3), atol=1e-12)
+    mirrored = crop_matrix((64, 48), True, 0.0, 1.0, (0.0, 0.0))
     np.testing.assert_allclose(mirrored @ [0, 5, 1], [63, 5])
-    assert np.linalg.det(section(64, 48, True, 20.0, 0.8, (0.1, 0.2))[:, :2]) == pytest.approx(-0.64)
+    assert np.linalg.det(crop_matrix((64, 48), True, 20.0, 0.8, (0.1, 0.2))[:, :2]) == pytest.approx(-0.64)
 
 
-def test_reduction_is_the_mean_of_what_a_pixel_covers() -> None:
+def test_resizing_averages_over_areas() -> None:
     rgb = np.arange(8 * 12 * 3, dtype=np.uint8).reshape(8, 12, 3)
     mask = np.zeros((8, 12), np.uint8)
     mask[:, :5] = 1
-    small, small_mask = reduced(rgb, mask, 6, 4)
+    small, small_mask = crop_and_resize(rgb, mask, 6, 4)
     np.testing.assert_allclose(small, rgb.reshape(4, 2, 6, 2, 3).mean(axis=(1, 3)), atol=0.51)
     np.testing.assert_array_equal(small_mask, [[1, 1, 1, 0, 0, 0]] * 4)
-    wide, _ = reduced(rgb, mask, 4, 4)
+    wide, _ = crop_and_resize(rgb, mask, 4, 4)
     assert wide.shape == (4, 4, 3)
     np.testing.assert_allclose(wide, rgb[:, 2:10].reshape(4, 2, 4, 2, 3).mean(axis=(1, 3)), atol=0.51)
 
 
 @pytest.mark.parametrize("name", COMPARED)
-def test_a_stored_set_holds_exactly_what_was_asked_and_is_the_same_again(
-    name: str, hands: LabeledImageSet, tmp_path: pathlib.Path
+def test_stored_set_is_complete_and_reproducible(
+    name: str, three_images: LabeledImageSet, tmp_path: pathlib.Path
 ) -> None:
     chosen = SCHEMES[name](n_variants=4, width=64, height=48)
-    made = augment_images(hands, tmp_path / "set", chosen, workers=1)
-    assert (made.n, made.scheme, made.settings) == (12, name, chosen)
-    assert [r["source"] for r in made.recipes] == [item.id for item in hands.items for _ in range(4)]
+    made = augment_images(three_images, tmp_path / "set", chosen, workers=1)
+    assert (made.n, made.settings) == (12, chosen)
+    assert [r["source"] for r in made.recipes] == [item.id for item in three_images.items for _ in range(4)]
     made.verify()
-    again = augment_images(hands, tmp_path / "again", chosen, DATASETS / "backgrounds", workers=1)
-    assert again.digest == made.digest, "backgrounds are no business of the compared schemes"
+    again = augment_images(three_images, tmp_path / "again", chosen, DATASETS / "backgrounds", workers=1)
+    assert again.digest == made.digest, "the compared schemes ignore backgrounds"
     np.testing.assert_array_equal(again.images, made.images)
     reseeded = SCHEMES[name](n_variants=4, width=64, height=48, seed=1)
-    other = augment_images(hands, tmp_path / "other", reseeded, workers=1)
+    other = augment_images(three_images, tmp_path / "other", reseeded, workers=1)
     assert other.digest != made.digest
     assert not np.array_equal(other.images, made.images)
     labels = made.labels(np.array([3, 0]))
@@ -223,12 +212,12 @@ def test_a_stored_set_holds_exactly_what_was_asked_and_is_the_same_again(
         assert made.n_distinct == 12
 
 
-def test_soft_labels_reach_the_network_as_they_are(hands: LabeledImageSet, tmp_path: pathlib.Path) -> None:
+def test_training_accepts_soft_labels(three_images: LabeledImageSet, tmp_path: pathlib.Path) -> None:
     from deltasafe.perception.settings import NetworkSettings, TrainingSettings
     from deltasafe.perception.training.train_member import train_member
 
     chosen = MixupSettings(n_variants=2, width=64, height=48, alpha=4.0)
-    made = augment_images(hands, tmp_path / "set", chosen, workers=1)
+    made = augment_images(three_images, tmp_path / "set", chosen, workers=1)
     labels = made.labels(slice(None))
     assert ((labels > 0.05) & (labels < 0.95)).any()
     np.testing.assert_allclose(labels, made.masks / 65535, atol=1e-7)
@@ -238,8 +227,8 @@ def test_soft_labels_reach_the_network_as_they_are(hands: LabeledImageSet, tmp_p
     assert all(np.isfinite(member.losses))
 
 
-def test_a_set_of_a_scheme_that_nobody_knows_is_refused(hands: LabeledImageSet, tmp_path: pathlib.Path) -> None:
-    augment_images(hands, tmp_path / "set", CutoutSettings(1, 64, 48), workers=1)
+def test_unknown_scheme_is_refused(three_images: LabeledImageSet, tmp_path: pathlib.Path) -> None:
+    augment_images(three_images, tmp_path / "set", CutoutSettings(1, 64, 48), workers=1)
     text = (tmp_path / "set" / "set.json").read_text()
     (tmp_path / "set" / "set.json").write_text(text.replace('"scheme": "cutout"', '"scheme": "cutmix"'))
     with pytest.raises(DataError, match="unknown scheme 'cutmix'; known: cutout"):
@@ -258,7 +247,7 @@ def test_a_set_of_a_scheme_that_nobody_knows_is_refused(hands: LabeledImageSet, 
         (FlipRotate90Settings, {"width": 8}, "width is 8"),
     ],
 )
-def test_settings_outside_their_domain_are_refused(
+def test_settings_outside_their_range_are_refused(
     kind: type[ComparedSettings], value: dict[str, float], message: str
 ) -> None:
     with pytest.raises(SettingsError, match=message):
@@ -266,5 +255,5 @@ def test_settings_outside_their_domain_are_refused(
 
 
 @pytest.mark.parametrize("name", SCHEMES)
-def test_names_and_settings_belong_together(name: str) -> None:
-    assert scheme_of(SCHEMES[name]()) == name
+def test_scheme_name_is_found_by_settings_class(name: str) -> None:
+    assert scheme_name(SCHEMES[name]()) == name
