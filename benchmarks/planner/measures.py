@@ -219,7 +219,7 @@ def yaw_certificate_ms(problem: Problem, repeats: int) -> float:
     """Median time in which the certificate that knows the yaw is made, once for a field."""
     taken = []
     for _ in range(repeats + 1):
-        problem.field.kept.clear()
+        problem.field.cache.clear()
         began = time.thread_time()
         yaw_clearance_table(problem.field, EllipticDisc(), MARGIN_M + DELTA_P_M / 2)
         taken.append(1e3 * (time.thread_time() - began))
