@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compute.numba_cache import inlined
+from deltasafe.compute.numba_cache import compiled, inlined
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField, Lattice
 from deltasafe.planning.collision.yaw_clearance_table import (
@@ -39,18 +39,28 @@ class ClearanceTables(NamedTuple):
 
 def clearance_tables_of(field: DistanceField, body: ToolBody, yaw_clearance_m: float | None) -> ClearanceTables:
     """Build the tables of a body in a field; ``yaw_clearance_m`` is the clearance of ``by_yaw``, None to omit it."""
-    lattice, params = field.arrays.lattice, body.params
+    lattice = field.arrays.lattice
     cell_m = lattice.stride * lattice.voxel_m
-    point_m, ray_m = (clearance_m.astype(np.float64) for clearance_m in field.coarse_clearance_m)
-    table_m = np.arange(point_m.shape[2]) * cell_m - params.half_thickness_m
-    clearance_m = np.minimum(np.minimum(point_m - params.disc_radius_m, ray_m - params.shaft_radius_m), table_m) - 1e-6
-    steps = np.where(clearance_m >= 0, np.minimum((clearance_m / UNIT_M).astype(np.int64), 254) + 1, 0)
     return ClearanceTables(
-        steps.astype(np.uint8),
+        _clearance_steps(*field.coarse_clearance_m, cell_m, body.params),
         empty_yaw_clearance_table() if yaw_clearance_m is None else yaw_clearance_table(field, body, yaw_clearance_m),
         lattice,
         1.0 / cell_m,
     )
+
+
+@compiled
+def _clearance_steps(point_m, ray_m, cell_m, body):  # type: ignore[no-untyped-def]
+    steps = np.zeros(point_m.shape, np.uint8)
+    nx, ny, nz = point_m.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                clearance_m = min(point_m[i, j, k] - body.disc_radius_m, ray_m[i, j, k] - body.shaft_radius_m)
+                clearance_m = min(clearance_m, k * cell_m - body.half_thickness_m) - 1e-6
+                if clearance_m >= 0.0:
+                    steps[i, j, k] = min(int(clearance_m / UNIT_M), 254) + 1
+    return steps
 
 
 @inlined

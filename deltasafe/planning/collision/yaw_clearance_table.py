@@ -178,23 +178,24 @@ def _or_rows(blocked, runs, rows, pad):  # type: ignore[no-untyped-def]
 def _spread_layers(words, up, down):  # type: ignore[no-untyped-def]
     """Copy each set bit to the ``up`` voxels above it and the ``down`` voxels below it."""
     spread = words.copy()
-    nx, ny, _ = words.shape
+    nx, ny, n_words = words.shape
     for i in range(nx):
         for j in range(ny):
-            for shift in range(-down, up + 1):
-                _or_shifted(spread[i, j], words[i, j], shift)
+            for w in range(n_words):
+                if words[i, j, w] != 0:
+                    for shift in range(-down, up + 1):
+                        _or_shifted(spread[i, j], w, words[i, j, w], shift)
     return spread
 
 
 @kernel
-def _or_shifted(target, source, shift):  # type: ignore[no-untyped-def]
-    """OR a row of words into another one, shifted up by ``shift`` bits (down if negative)."""
-    apart, bits = shift >> 6, np.uint64(shift & 63)
-    for w in range(max(apart, 0), min(len(target) + apart, len(target))):
-        target[w] |= source[w - apart] << bits
-    if bits > 0:
-        for w in range(max(apart + 1, 0), min(len(target) + apart + 1, len(target))):
-            target[w] |= source[w - apart - 1] >> (np.uint64(64) - bits)
+def _or_shifted(row, w, word, shift):  # type: ignore[no-untyped-def]
+    """OR a word, shifted up by ``shift`` bits (down if negative), into a row of words at index w."""
+    w, bits = w + (shift >> 6), np.uint64(shift & 63)
+    if 0 <= w < len(row):
+        row[w] |= word << bits
+    if bits > 0 and 0 <= w + 1 < len(row):
+        row[w + 1] |= word >> (np.uint64(64) - bits)
 
 
 @compiled
