@@ -1,12 +1,11 @@
 """Operations on groups of 64 distances: one comparison gives a bit mask, and the set bits are then visited.
 
-numba does not vectorize loops that compact an array, so ``le_mask`` is written in LLVM IR: one load of a vector of 64
-lanes, one comparison, and a bit cast of the 64 booleans to an integer. LLVM legalizes these operations for the CPU it
-compiles for. With AVX-512 it emits four comparisons that write mask registers; with AVX2 or SSE2 it emits comparisons
-of 8 or 4 lanes, and instructions that move the sign bits to an integer register. On a CPU without vector registers it
-emits 64 scalar comparisons. In the same way ``popcount`` and ``ctz`` become one instruction, or a short sequence of
-shifts and masks. Only the speed differs. Comparisons do not round, and no operation reorders a sum: the results are
-the same bits on every CPU.
+numba does not vectorize loops that compact an array. ``le_mask`` is therefore written in LLVM IR: one load of a vector
+of 64 lanes, one comparison, and a bit cast of the 64 booleans to an integer. LLVM splits these operations into what the
+CPU has. It emits 4 comparisons with AVX-512, 8 with AVX2, 16 with SSE2 or NEON, and 64 scalar comparisons on a CPU
+without vector registers. ``popcount`` and ``ctz`` become one instruction, or a short sequence of shifts and masks.
+
+Only the speed depends on the CPU: comparisons do not round, and no sum is reordered, so that the results are the same.
 """
 
 import numpy as np
