@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 MAX_NUMBER = 1e6
 """Largest number in pixels or meters, and inverse of the smallest focal length: others suggest wrong units."""
 
+SCALARS = ("fx", "fy", "cx", "cy")
+SHAPES = {"position_m": (3,), "world_from_camera_rotation": (3, 3)}
+
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
@@ -47,12 +50,12 @@ class Camera:
         for name in ("width", "height"):
             if not (type(getattr(self, name)) is int and 0 < getattr(self, name) <= MAX_NUMBER):
                 raise SettingsError(f"{name} must be a positive number of pixels, got {getattr(self, name)!r}")
-        for name in ("fx", "fy", "cx", "cy"):
+        for name in SCALARS:
             if not abs(getattr(self, name)) <= MAX_NUMBER:
                 raise SettingsError(f"{name} must be finite, up to {MAX_NUMBER:g}, got {getattr(self, name)!r:.80}")
         if min(self.fx, self.fy) < 1 / MAX_NUMBER:
             raise SettingsError(f"focal lengths must be positive, got fx {self.fx}, fy {self.fy}")
-        for name, shape in (("position_m", (3,)), ("world_from_camera_rotation", (3, 3))):
+        for name, shape in SHAPES.items():
             value = np.array(getattr(self, name), dtype=np.float64)
             if value.shape != shape or not np.isfinite(value).all():
                 raise SettingsError(f"{name} must be a finite array of shape {shape}, got {value.tolist()}")
@@ -73,16 +76,10 @@ class Camera:
         if not isinstance(value, Mapping) or set(value) != set(fields):
             found = sorted(value) if isinstance(value, Mapping) else type(value).__name__
             raise SettingsError(f"camera needs exactly the fields {fields}, got {found}")
-        names = ("fx", "fy", "cx", "cy", "position_m", "world_from_camera_rotation")
-        for name in names:
-            if not _holds_numbers(value[name]):
+        for name in (*SCALARS, *SHAPES):
+            if not _holds_numbers(value[name], SHAPES.get(name, ())):
                 raise SettingsError(f"camera must hold numbers, in pixels and meters, got {name} {value[name]!r:.80}")
-        try:
-            numbers: dict[str, Any] = {name: float(value[name]) for name in names[:4]}
-            arrays: dict[str, Any] = {name: np.asarray(value[name], dtype=np.float64) for name in names[4:]}
-        except (TypeError, ValueError) as error:
-            raise SettingsError(f"camera must hold numbers and arrays of numbers ({error})") from error
-        return cls(width=value["width"], height=value["height"], **numbers, **arrays)
+        return cls(**{**value, **{name: float(value[name]) for name in SCALARS}})
 
     def project(self, points_m: Array) -> tuple[Array, Array]:
         """Project world points (N, 3): pixel coordinates (u, v) as (N, 2), and depths (N,) along the optical axis.
@@ -114,8 +111,9 @@ class Camera:
         return np.asarray(self.position_m + rays * depth_m[:, None])
 
 
-def _holds_numbers(value: Any, depth: int = 2) -> bool:
-    """Return whether a JSON value holds only numbers up to ``MAX_NUMBER``; NumPy would convert text and booleans."""
-    if isinstance(value, list | tuple | np.ndarray):
-        return depth > 0 and all(_holds_numbers(one, depth - 1) for one in value)
+def _holds_numbers(value: Any, shape: tuple[int, ...]) -> bool:
+    """Return whether a JSON value is an array of numbers; NumPy would also convert text and booleans."""
+    if shape:
+        is_array = isinstance(value, list | tuple | np.ndarray) and len(value) == shape[0]
+        return is_array and all(_holds_numbers(one, shape[1:]) for one in value)
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_NUMBER

@@ -8,11 +8,7 @@ from numpy.typing import NDArray
 from deltasafe.compute.numba_cache import compiled, inlined
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField, Lattice
-from deltasafe.planning.collision.yaw_clearance_table import (
-    YawClearanceTable,
-    empty_yaw_clearance_table,
-    yaw_clearance_table,
-)
+from deltasafe.planning.collision.yaw_clearance_table import NO_YAW_TABLE, YawClearanceTable, yaw_clearance_table
 
 __all__ = ["UNIT_M", "ClearanceTables", "clearance_tables_of", "table_clearance_m"]
 
@@ -43,7 +39,7 @@ def clearance_tables_of(field: DistanceField, body: ToolBody, yaw_clearance_m: f
     cell_m = lattice.stride * lattice.voxel_m
     return ClearanceTables(
         _clearance_steps(*field.coarse_clearance_m, cell_m, body.params),
-        empty_yaw_clearance_table() if yaw_clearance_m is None else yaw_clearance_table(field, body, yaw_clearance_m),
+        NO_YAW_TABLE if yaw_clearance_m is None else yaw_clearance_table(field, body, yaw_clearance_m),
         lattice,
         1.0 / cell_m,
     )

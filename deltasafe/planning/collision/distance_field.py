@@ -104,7 +104,9 @@ class DistanceField:
             float(grid.origin_m[2]),
             grid.voxel_m,
             1.0 / grid.voxel_m,
-            *unsafe.shape,
+            nx + 2,
+            ny + 2,
+            nz + reach,
             max(1, round(COARSE_M / grid.voxel_m)),
         )
         return cls(grid, float(delta), FieldArrays(squared, _minimum_above(squared), lattice, float(grid.origin_m[2])))

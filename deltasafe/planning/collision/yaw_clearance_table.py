@@ -14,7 +14,7 @@ from deltasafe.compute.numba_cache import compiled, inlined, kernel
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField, voxel_of
 
-__all__ = ["YawClearanceTable", "empty_yaw_clearance_table", "is_free_by_yaw", "yaw_clearance_table"]
+__all__ = ["NO_YAW_TABLE", "YawClearanceTable", "is_free_by_yaw", "yaw_clearance_table"]
 
 BINS = 8
 """Bins of half a turn, the period of the disc. More bins accept few more poses."""
@@ -46,9 +46,8 @@ class YawClearanceTable(NamedTuple):
     clear_m: float
 
 
-def empty_yaw_clearance_table() -> YawClearanceTable:
-    """Return the table that accepts no pose."""
-    return YawClearanceTable(np.empty((0, 0, 0, 0), np.uint64), 0.0, -1.0)
+NO_YAW_TABLE = YawClearanceTable(np.empty((0, 0, 0, 0), np.uint64), 0.0, -1.0)
+"""The table that accepts no pose."""
 
 
 def yaw_clearance_table(field: DistanceField, body: ToolBody, clear_m: float) -> YawClearanceTable:

@@ -22,7 +22,7 @@ class BucketTree(NamedTuple):
         split: (n, 2) axis and coordinate of the cut.
         size: (n,) number of points of a leaf; ``size[-1]`` is the number of nodes.
         points: (n, 4, GROUP) points of a leaf; unused places are infinitely far.
-        index: (n, GROUP) indices of these points.
+        indices: (n, GROUP) of these points.
         squared: (2 GROUP,) scratch: squared distances in a leaf.
         stack, bound: scratch: nodes to visit, and the squared distances of their boxes.
         query, gaps: (8,) scratch: the query point twice, and its squared distances to two boxes by axis.
@@ -34,7 +34,7 @@ class BucketTree(NamedTuple):
     split: NDArray[np.float32]
     size: NDArray[np.int32]
     points: NDArray[np.float32]
-    index: NDArray[np.int32]
+    indices: NDArray[np.int32]
     squared: NDArray[np.float32]
     stack: NDArray[np.int32]
     bound: NDArray[np.float32]
@@ -91,7 +91,7 @@ def _append(tree, leaf, index, x):  # type: ignore[no-untyped-def]
     place = tree.size[leaf]
     for axis in range(4):
         tree.points[leaf, axis, place] = x[axis]
-    tree.index[leaf, place] = index
+    tree.indices[leaf, place] = index
     tree.size[leaf] += 1
 
 
@@ -116,7 +116,7 @@ def _split_leaf(tree, node):  # type: ignore[no-untyped-def]
         child = tree.children[node] + (points[axis, n] > cut)
         x = points[0, n], points[1, n], points[2, n], points[3, n]
         _extend_box(tree, child, x)
-        _append(tree, child, tree.index[node, n], x)
+        _append(tree, child, tree.indices[node, n], x)
 
 
 @inlined
@@ -165,7 +165,7 @@ def nearest_in(tree, x):  # type: ignore[no-untyped-def]
         mask = le_mask(tree.squared, 0, least)
         while mask:
             n = np.int64(ctz(mask))
-            squared, index = tree.squared[n], np.int64(tree.index[node, n])
+            squared, index = tree.squared[n], np.int64(tree.indices[node, n])
             if squared < least or (squared == least and index < best):
                 best, least = index, squared
             mask &= mask - np.uint64(1)
@@ -186,5 +186,5 @@ def collect(tree, x, limit, indices, squared):  # type: ignore[no-untyped-def]
         squared_distances(tree.points[node], GROUP, x, tree.squared)
         before, size = size, append_within(tree.squared, 0, limit, indices, squared, size)
         for n in range(before, size):
-            indices[n] = tree.index[node, indices[n]]
+            indices[n] = tree.indices[node, indices[n]]
     return size

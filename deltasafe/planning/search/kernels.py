@@ -15,17 +15,7 @@ from deltasafe.planning.search.neighbors import Neighbors, add_point, k_nearest,
 from deltasafe.planning.search.sampling import draw_pose
 from deltasafe.planning.search.tree import FIRST_CHILD, NEXT_SIBLING, TreeArrays, attach, pose_of, reparent, set_pose
 
-__all__ = [
-    "N_ITERATIONS",
-    "N_POINTS",
-    "SOLVED_AT",
-    "Search",
-    "SearchParams",
-    "begin",
-    "copy_points",
-    "grow",
-    "keep_valid",
-]
+__all__ = ["Search", "SearchParams", "begin", "copy_points", "grow", "keep_valid"]
 
 Array = NDArray[np.float64]
 
