@@ -13,20 +13,20 @@ __all__ = ["Pose", "PosePath", "Trajectory", "as_rows", "wrap_to_pi", "yaw_of"]
 Array = NDArray[np.float64]
 
 FARTHEST = 1000.0
-"""Meters and radians: searches divide the space between their ends into cells, and count them."""
+"""Largest coordinate, in meters and radians: compiled code converts coordinates to integer indices."""
 
-LONGEST_S = 1e5
-"""Longest trajectory: more than a day; the controller's samples of it are held in memory."""
+MAX_DURATION_S = 1e5
+"""Longest trajectory, more than a day: all samples of the controller are held in memory."""
 
 
 def as_rows(values: object, columns: int, name: str) -> Array:
     """Copy ``values`` to a contiguous float64 array (N, ``columns``), finite and within ``FARTHEST``.
 
-    Compiled code turns coordinates into indices without a check: NaN or 1e300 would read outside the arrays. Every
-    public function that leads there calls this once.
+    Compiled code converts coordinates to indices without a check, and NaN or 1e300 would read outside the arrays. Each
+    public function that calls such code validates its input here.
 
     Raises:
-        SettingsError: wrong shape, not numbers, or a value that is not finite or too large; names the row.
+        SettingsError: wrong shape, not numeric, or a value that is not finite or too large; names the row.
     """
     try:
         rows = np.array(values, dtype=np.float64, order="C")
@@ -43,12 +43,12 @@ def as_rows(values: object, columns: int, name: str) -> Array:
 
 
 def wrap_to_pi(angle_rad: Array | float) -> Array:
-    """Angle in [-pi, pi) that is equal to ``angle_rad`` modulo a full turn."""
+    """Map angles to [-pi, pi), modulo a full turn."""
     return np.asarray((np.asarray(angle_rad) + math.pi) % (2 * math.pi) - math.pi)
 
 
 def yaw_of(quaternions: Array) -> Array:
-    """Turn about z in [-pi, pi] of rotations (..., 4) given as x, y, z, w."""
+    """Return the yaw in [-pi, pi] of quaternions (..., 4), ordered x, y, z, w."""
     x, y, z, w = np.moveaxis(np.asarray(quaternions), -1, 0)
     return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
@@ -63,12 +63,13 @@ class Pose:
     yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(value) for value in self.as_tuple()):
-            raise SettingsError(f"a pose must be finite, got {self.as_tuple()}")
-        if max(map(abs, self.as_tuple())) > FARTHEST:
-            raise SettingsError(f"a pose must lie within {FARTHEST:g} meters and radians, got {self.as_tuple()}")
+        if not all(abs(value) <= FARTHEST for value in self.as_tuple()):  # false for NaN
+            raise SettingsError(
+                f"a pose must be finite and within {FARTHEST:g} meters and radians, got {self.as_tuple()}"
+            )
 
     def as_tuple(self) -> tuple[float, float, float, float]:
+        """x, y, z in meters, yaw in radians."""
         return (self.x_m, self.y_m, self.z_m, self.yaw_rad)
 
     def as_array(self) -> Array:
@@ -87,7 +88,7 @@ class PosePath:
     poses: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "poses", _frozen(self.poses, "poses", 4))
+        object.__setattr__(self, "poses", _frozen(self.poses, "poses"))
         if len(self.poses) == 0:
             raise SettingsError("a path needs at least one pose")
 
@@ -96,7 +97,7 @@ class PosePath:
 
     @property
     def length_m(self) -> float:
-        """Length of the polyline of positions in meters; rotation does not count."""
+        """Length of the polyline of positions; rotation adds nothing."""
         return float(np.linalg.norm(np.diff(self.poses[:, :3], axis=0), axis=1).sum())
 
 
@@ -120,12 +121,12 @@ class Trajectory:
             raise SettingsError(f"time_s must be a finite vector of at least one sample, got {time_s.shape}")
         if time_s[0] != 0.0 or (np.diff(time_s) <= 0).any():
             raise SettingsError("time_s must start at 0 and increase strictly")
-        if time_s[-1] > LONGEST_S:
-            raise SettingsError(f"time_s must end within {LONGEST_S:g} s, got {time_s[-1]:g}")
+        if time_s[-1] > MAX_DURATION_S:
+            raise SettingsError(f"time_s must end within {MAX_DURATION_S:g} s, got {time_s[-1]:g}")
         time_s.setflags(write=False)
         object.__setattr__(self, "time_s", time_s)
-        object.__setattr__(self, "poses", _frozen(self.poses, "poses", 4))
-        object.__setattr__(self, "velocities", _frozen(self.velocities, "velocities", 4))
+        object.__setattr__(self, "poses", _frozen(self.poses, "poses"))
+        object.__setattr__(self, "velocities", _frozen(self.velocities, "velocities"))
         if not len(self.time_s) == len(self.poses) == len(self.velocities):
             raise SettingsError(
                 f"time_s, poses and velocities must be equally long, got "
@@ -134,6 +135,7 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
+        """Time of the last sample."""
         return float(self.time_s[-1])
 
     @property
@@ -142,7 +144,7 @@ class Trajectory:
         return np.asarray(np.linalg.norm(self.velocities[:, :3], axis=1))
 
 
-def _frozen(values: Array, name: str, columns: int) -> Array:
-    rows = as_rows(values, columns, name)
+def _frozen(values: Array, name: str) -> Array:
+    rows = as_rows(values, 4, name)
     rows.setflags(write=False)
     return rows

@@ -1,4 +1,4 @@
-"""numba with a cache that notices every change of this package."""
+"""numba decorators with an on-disk cache that becomes invalid when any compiled module changes."""
 
 import functools
 import pickle
@@ -14,9 +14,9 @@ __all__ = ["compiled", "inlined", "kernel"]
 
 
 class _Index(caching.IndexDataCacheFile):
-    """A cache index that is empty, not fatal, if it names types that this process cannot import.
+    """Cache index that counts as empty if it names types that this process cannot import.
 
-    A constraint defined in somebody's script or test is such a type for everybody else.
+    A script or a test may define its own constraint type; other processes cannot import it.
     """
 
     def _load_index(self) -> dict[Any, str]:
@@ -27,27 +27,27 @@ class _Index(caching.IndexDataCacheFile):
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """``numba.njit`` whose on-disk cache is valid for exactly this state of the compiled modules.
+    """Compile with ``numba.njit`` and cache on disk, keyed by the source of all compiled modules.
 
-    numba itself checks only the file that holds the function: after a change of a collision test in another file it
-    would keep running the old one. The stamp of the cache is therefore a digest of all modules that compile functions.
+    numba itself checks only the file of the function. A compiled search contains the segment test of its constraint
+    type, so that a change of that test in another file must invalidate the search as well.
     """
     return _cached(numba.njit(cache=True)(function))
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """``compiled`` for a function that makes no arrays: it counts no references to those that it is given.
+    """``compiled`` without reference counting, for functions that allocate no arrays.
 
-    Counting them for every array of a nested tuple at every call takes longer than a look-up, and many times longer
-    to compile. numba refuses to compile a kernel that allocates.
+    Counting references to each array of a nested tuple at each call takes longer than a table look-up, and compiles
+    many times slower. numba refuses to compile a kernel that allocates.
     """
     return _cached(numba.njit(cache=True, _nrt=False)(function))
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """``kernel`` that becomes part of its callers: tables of arrays are not copied from call to call.
+    """``kernel`` that is always inlined.
 
-    A named tuple of arrays is passed by value, a hundred words or more, which costs more than many a look-up.
+    numba passes a named tuple of arrays by value, a hundred words or more, which costs more than most look-ups.
     """
     return _cached(numba.njit(cache=True, _nrt=False, forceinline=True)(function))
 
@@ -60,5 +60,5 @@ def _cached(dispatcher: Any) -> Any:
 
 @functools.cache
 def _stamp() -> str:
-    """Digest of all modules that compile functions: a compiled search contains whatever test it was given by type."""
+    """Cache key: version of numba and digest of all modules that use these decorators."""
     return f"{numba.__version__} {digest_of_importers(__name__)}"

@@ -1,4 +1,4 @@
-"""Motions that keep away from what may be occupied: SCC-RRT*, its segment tests, and safe velocity scheduling."""
+"""Planning of motions that avoid possibly occupied space: SCC-RRT*, segment tests, and safe velocity scheduling."""
 
 from deltasafe.planning.audit import Audit, verify_motion
 from deltasafe.planning.body import ToolBody
@@ -15,7 +15,8 @@ from deltasafe.planning.motion import MotionSettings, PlannedMotion, plan_motion
 from deltasafe.planning.results import PlanResult, PlanStatus
 from deltasafe.planning.scc_rrt_star import Planner, PlannerSettings, plan
 from deltasafe.planning.search.cost import LineCost, area_m2, line_cost, path_cost
-from deltasafe.planning.search.rrt_star import RrtStar, grow_tree
+from deltasafe.planning.search.problem import SearchProblem, search_problem
+from deltasafe.planning.search.rrt_star import RrtStar, RrtStarSettings, grow_tree
 from deltasafe.planning.search.shortcutting import refine_path
 from deltasafe.planning.search.tree import SearchTree
 from deltasafe.planning.timing.velocity_schedule import SpeedProfile, VelocitySettings, schedule, schedule_at_top_speed
@@ -33,6 +34,8 @@ __all__ = [
     "Planner",
     "PlannerSettings",
     "RrtStar",
+    "RrtStarSettings",
+    "SearchProblem",
     "SearchTree",
     "SegmentTest",
     "SpeedProfile",
@@ -51,6 +54,7 @@ __all__ = [
     "refine_path",
     "schedule",
     "schedule_at_top_speed",
+    "search_problem",
     "segment_is_safe",
     "segment_test",
     "verify_motion",

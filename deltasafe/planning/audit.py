@@ -1,4 +1,4 @@
-"""Audit of planned motions by brute force. It shares no code with the segment tests of the planner."""
+"""Brute-force audit of planned motions; shares no code with the segment tests of the planner."""
 
 import dataclasses
 import itertools
@@ -15,6 +15,8 @@ from deltasafe.scene import OccupancyGrid
 
 __all__ = ["Audit", "audit_path", "audit_trajectory", "body_points", "verify_motion"]
 
+Array = NDArray[np.float64]
+
 
 @dataclasses.dataclass(frozen=True)
 class Audit:
@@ -22,7 +24,7 @@ class Audit:
 
     Attributes:
         poses: number of audited poses.
-        unsafe_poses: poses at which a point of the tool has p_occupied > delta.
+        unsafe_poses: number of poses at which a point of the tool has p_occupied > delta.
         worst_p_occupied: largest p_occupied at any point of the tool.
     """
 
@@ -37,11 +39,11 @@ class Audit:
 
 
 def verify_motion(motion: PlannedMotion, grid: OccupancyGrid, spacing_m: float = 0.001) -> Audit:
-    """Audit the trajectory of a planned motion against the delta that it was planned with.
+    """Audit the trajectory of a planned motion against the delta of its settings.
 
     Args:
-        grid: P(occupied) of the world; the one that the motion was planned in, or another one.
-        spacing_m: largest way of any point of the tool between two audited poses.
+        grid: P(occupied) of the world; that of the motion, or another one.
+        spacing_m: largest motion of any point of the tool between two audited poses.
 
     Raises:
         SettingsError: the motion has no trajectory.
@@ -54,37 +56,33 @@ def verify_motion(motion: PlannedMotion, grid: OccupancyGrid, spacing_m: float =
 def audit_trajectory(
     trajectory: Trajectory, grid: OccupancyGrid, body: ToolBody, delta: float, spacing_m: float = 0.001
 ) -> Audit:
-    """Ask the field at points of the whole tool (2 mm apart), at poses at most ``spacing_m`` apart."""
-    points = body_points(body, 0.002)
+    """Look up points of the tool (2 mm apart) in the grid, at samples at most ``spacing_m`` apart."""
     xyz, yaw = trajectory.poses[:, :3], trajectory.poses[:, 3]
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
-    way += body.rho_max_m * np.concatenate([[0.0], np.cumsum(np.abs(np.diff(yaw)))])
-    kept = np.unique(np.append(np.searchsorted(way, np.arange(0.0, way[-1], spacing_m)), len(way) - 1))
-    return _looked(grid, points, trajectory.poses[kept], delta)
+    motion_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+    motion_m += body.rho_max_m * np.concatenate([[0.0], np.cumsum(np.abs(np.diff(yaw)))])
+    samples = np.searchsorted(motion_m, np.arange(0.0, motion_m[-1], spacing_m))
+    samples = np.unique(np.append(samples, len(motion_m) - 1))
+    return _audit_poses(grid, body_points(body, 0.002), trajectory.poses[samples], delta)
 
 
 def audit_path(
-    path: NDArray[np.float64],
-    grid: OccupancyGrid,
-    points_m: NDArray[np.float64],
-    delta: float,
-    reach_m: float,
-    spacing_m: float = 0.001,
+    path: Array, grid: OccupancyGrid, points_m: Array, delta: float, reach_m: float, spacing_m: float = 0.001
 ) -> Audit:
-    """Ask the field at points (P, 3) of a body, along the straight edges between the waypoints (N, 4): x, y, z, yaw.
+    """Look up points (P, 3) of a body in the grid, along the polyline of poses (N, 4).
 
     Args:
-        reach_m: distance of the body's farthest point from its axis; poses lie at most ``spacing_m`` of its way apart.
+        reach_m: distance of the body's farthest point from its yaw axis.
+        spacing_m: largest motion of any point of the body between two audited poses.
     """
     poses = [path[:1]]
     for start, end in itertools.pairwise(path):
-        way_m = float(np.linalg.norm((end - start)[:3])) + reach_m * abs(end[3] - start[3])
-        shares = np.linspace(0.0, 1.0, 1 + max(1, math.ceil(way_m / spacing_m)))[1:, None]
-        poses.append(start + shares * (end - start))
-    return _looked(grid, points_m, np.concatenate(poses), delta)
+        motion_m = float(np.linalg.norm((end - start)[:3])) + reach_m * abs(end[3] - start[3])
+        fractions = np.linspace(0.0, 1.0, 1 + max(1, math.ceil(motion_m / spacing_m)))[1:, None]
+        poses.append(start + fractions * (end - start))
+    return _audit_poses(grid, points_m, np.concatenate(poses), delta)
 
 
-def _looked(grid: OccupancyGrid, points_m: NDArray[np.float64], poses: NDArray[np.float64], delta: float) -> Audit:
+def _audit_poses(grid: OccupancyGrid, points_m: Array, poses: Array, delta: float) -> Audit:
     cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
     zero, one = np.zeros(len(poses)), np.ones(len(poses))
     rotations = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
@@ -92,33 +90,25 @@ def _looked(grid: OccupancyGrid, points_m: NDArray[np.float64], poses: NDArray[n
     return Audit(len(poses), int((worst.astype(np.float64) > delta).sum()), float(worst.max()))
 
 
-def body_points(body: ToolBody, spacing_m: float = 0.0025) -> NDArray[np.float64]:
-    """(P, 3) points of the tool in its frame, surface and inside, at most about ``spacing_m`` apart."""
+def body_points(body: ToolBody, spacing_m: float = 0.0025) -> Array:
+    """Points (P, 3) on and inside the tool in its frame, at most about ``spacing_m`` apart."""
     if not (math.isfinite(spacing_m) and spacing_m > 0):
         raise SettingsError(f"spacing_m must be a positive length in meters, got {spacing_m}")
     half = body.thickness_m / 2
-    disc = _rings(body.rho_max_m, spacing_m) * [
-        body.semi_axis_x_m / body.rho_max_m,
-        body.semi_axis_y_m / body.rho_max_m,
-    ]
-    shaft = _rings(body.shaft_radius_m, spacing_m)
-    return np.concatenate(
-        [
-            _layers(disc, -half, half, spacing_m),
-            _layers(shaft, half, body.shaft_length_m, spacing_m),
-        ]
-    )
+    scale = [body.semi_axis_x_m / body.rho_max_m, body.semi_axis_y_m / body.rho_max_m]
+    disc, shaft = _rings(body.rho_max_m, spacing_m) * scale, _rings(body.shaft_radius_m, spacing_m)
+    return np.concatenate([_layers(disc, -half, half, spacing_m), _layers(shaft, half, body.shaft_length_m, spacing_m)])
 
 
-def _rings(radius_m: float, spacing_m: float) -> NDArray[np.float64]:
+def _rings(radius_m: float, spacing_m: float) -> Array:
     rings = []
     for radius in np.linspace(0, radius_m, math.ceil(radius_m / spacing_m) + 1):
         count = max(1, math.ceil(2 * math.pi * radius / spacing_m))
-        turn = 2 * np.pi * np.arange(count) / count
-        rings.append(radius * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+        angle = 2 * np.pi * np.arange(count) / count
+        rings.append(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     return np.concatenate(rings)
 
 
-def _layers(flat: NDArray[np.float64], bottom_m: float, top_m: float, spacing_m: float) -> NDArray[np.float64]:
+def _layers(flat: Array, bottom_m: float, top_m: float, spacing_m: float) -> Array:
     heights = np.linspace(bottom_m, top_m, math.ceil((top_m - bottom_m) / spacing_m) + 1)
     return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in heights])

@@ -1,4 +1,4 @@
-"""R_0, the space that the tool occupies at the zero pose (section IV-A): one body for planner and simulator."""
+"""R_0, the space that the tool occupies at the zero pose (section IV-A); shared by planner and simulator."""
 
 import dataclasses
 import math
@@ -8,16 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.planning.disc_cover import disc_balls, disc_cover, distance_to_ellipse
+from deltasafe.planning.disc_cover import bounding_balls, disc_cover, distance_to_ellipse
 
 __all__ = ["BodyParams", "ToolBody"]
 
 Array = NDArray[np.float64]
 NO_SHAFT_M = -1e6
+"""Shaft radius of a body without a shaft: its clearance is then never the smallest."""
 
 
 class BodyParams(NamedTuple):
-    """The numbers of a tool's body, as compiled code reads them. A shaft that is not there has a negative radius."""
+    """Dimensions of a body, as compiled code reads them. Without a shaft, ``shaft_radius_m`` is negative."""
 
     disc_radius_m: float
     half_thickness_m: float
@@ -31,9 +32,8 @@ class BodyParams(NamedTuple):
 class ToolBody:
     """An elliptic disc parallel to the table at the lower end of a slim vertical shaft (decision 12).
 
-    The pose of the tool is the center of the disc; yaw turns the ellipse, pi-periodically. The shaft rises
-    from the disc to the flange, ``shaft_length_m`` above the center of the disc; a length of 0 means the disc alone,
-    as in section V-B of the paper.
+    The pose of the tool is the center of the disc. Yaw turns the ellipse, with period pi. The shaft ends at the flange,
+    ``shaft_length_m`` above the center of the disc. A length of 0 means the disc alone, as in section V-B of the paper.
     """
 
     semi_axis_x_m: float = 0.03
@@ -51,7 +51,7 @@ class ToolBody:
 
     @property
     def rho_max_m(self) -> float:
-        """Largest distance of a point of the body from the yaw axis: turns yaw error into workspace error."""
+        """Largest distance of a point of the body from the yaw axis: converts yaw error to workspace error."""
         return max(self.semi_axis_x_m, self.semi_axis_y_m)
 
     @property
@@ -60,8 +60,8 @@ class ToolBody:
         return math.hypot(self.rho_max_m, self.thickness_m / 2)
 
     @property
-    def numbers(self) -> BodyParams:
-        """What compiled code reads."""
+    def params(self) -> BodyParams:
+        """Dimensions for compiled code."""
         return BodyParams(
             self.disc_radius_m,
             self.thickness_m / 2,
@@ -84,38 +84,36 @@ class ToolBody:
         return np.asarray(np.minimum(disc_m, np.hypot(off_axis, beyond)))
 
     def samples(self, margin_m: float, count: int, seed: int) -> Array:
-        """(count, 3) points drawn uniformly from R_0 + B(margin): the true enlargement by a ball.
+        """Draw (count, 3) points uniformly from R_0 + B(margin), the Minkowski sum with a ball.
 
-        The enlargement is no ellipsoid (decision 12): points are drawn from two boxes that touch, one around
-        the disc, one around the rest of the shaft, and kept if their distance to the body is at most the margin.
+        The sum is no ellipsoid (decision 12). Points are drawn from two boxes that touch, one around the disc and one
+        around the rest of the shaft, and accepted if their distance to the body is at most the margin.
         """
         if not (math.isfinite(margin_m) and margin_m >= 0) or count < 1:
             raise SettingsError(f"samples need margin_m >= 0 and count >= 1, got {margin_m}, {count}")
         rng = np.random.default_rng(seed)
         half = self.thickness_m / 2 + margin_m
-        wide = np.array([self.semi_axis_x_m + margin_m, self.semi_axis_y_m + margin_m])
-        slim = np.full(2, self.shaft_radius_m + margin_m)
-        top = max(self.shaft_length_m + margin_m, half)
-        if self.shaft_length_m == 0:
-            top = half
-        share = 4 * wide.prod() * 2 * half
-        share /= share + 4 * slim.prod() * (top - half)
-        kept: list[Array] = []
-        while sum(map(len, kept)) < count:
-            low = rng.random(2 * count) < share
+        disc_box = np.array([self.semi_axis_x_m + margin_m, self.semi_axis_y_m + margin_m])
+        shaft_box = np.full(2, self.shaft_radius_m + margin_m)
+        top = max(self.shaft_length_m + margin_m, half) if self.shaft_length_m > 0 else half
+        disc_volume = 4 * disc_box.prod() * 2 * half
+        disc_fraction = disc_volume / (disc_volume + 4 * shaft_box.prod() * (top - half))
+        accepted: list[Array] = []
+        while sum(map(len, accepted)) < count:
+            in_disc = rng.random(2 * count) < disc_fraction
             unit = rng.random((2 * count, 3))
-            xy = (2 * unit[:, :2] - 1) * np.where(low[:, None], wide, slim)
-            z = np.where(low, (2 * unit[:, 2] - 1) * half, half + unit[:, 2] * (top - half))
+            xy = (2 * unit[:, :2] - 1) * np.where(in_disc[:, None], disc_box, shaft_box)
+            z = np.where(in_disc, (2 * unit[:, 2] - 1) * half, half + unit[:, 2] * (top - half))
             points_m = np.column_stack([xy, z])
-            kept.append(points_m[self.distance_m(points_m) <= margin_m])
-        return np.concatenate(kept)[:count]
+            accepted.append(points_m[self.distance_m(points_m) <= margin_m])
+        return np.concatenate(accepted)[:count]
 
     @property
     def disc_cover(self) -> tuple[Array, float]:
-        """Balls whose union contains the disc: centers (n, 3) in the body's frame, and their common radius."""
+        """Small balls of equal size that cover the disc: centers (n, 3) in the body's frame, and radius."""
         return disc_cover(self.semi_axis_x_m, self.semi_axis_y_m, self.thickness_m)
 
     @property
-    def disc_balls(self) -> Array:
-        """(m, 4) centers in the body's frame and radii of few balls whose union contains the disc."""
-        return disc_balls(self.semi_axis_x_m, self.semi_axis_y_m, self.thickness_m)
+    def bounding_balls(self) -> Array:
+        """(m, 4) centers in the body's frame and radii of a few balls that cover the disc."""
+        return bounding_balls(self.semi_axis_x_m, self.semi_axis_y_m, self.thickness_m)

@@ -1,4 +1,4 @@
-"""From a field and a task to a timed, delta-safe motion, or to the reason why there is none."""
+"""Planning of a timed, delta-safe motion from an occupancy grid and a task."""
 
 import dataclasses
 import math
@@ -29,13 +29,12 @@ FORMAT = 2
 class MotionSettings(VelocitySettings, PlannerSettings):
     """All settings of a motion: segment test, search, velocity schedule, tracking bound and tool.
 
-    The defaults are what the chain plans with.
-
     Attributes:
-        cost: ``root``, ``squared`` or ``area``. The paper's experiment penalizes the area between path and table, so
-            that the tool passes near the fingers.
-        gamma0_m, gamma1_s: the tracking bound gamma(v) = gamma0 + gamma1 v. The default is the paper's slope with the
-            constant that was identified for the simulated arm (`make tracking-study`).
+        cost: line cost: ``root``, ``squared`` or ``area``. The paper's experiment penalizes the area between path and
+            table, so that the tool passes near the fingers.
+        gamma0_m: constant term of the tracking bound gamma(v) = gamma0 + gamma1 v. The default was identified for the
+            simulated arm (`make tracking-study`).
+        gamma1_s: slope of the tracking bound; the default is the paper's.
         body: the space that the tool occupies.
     """
 
@@ -51,20 +50,21 @@ class MotionSettings(VelocitySettings, PlannerSettings):
 
     @property
     def tracking(self) -> TrackingBound:
-        """The tracking bound of planner, schedule, monitor and verdict."""
+        """Tracking bound of planner, schedule, monitor and verdict."""
         return TrackingBound(self.gamma0_m, self.gamma1_s)
 
 
 @dataclasses.dataclass(frozen=True)
 class PlannedMotion:
-    """A planned motion, or an outcome without one.
+    """A planned motion, or the reason why there is none.
 
     Attributes:
-        result: the search's verdict and path.
-        trajectory: reference at the controller's rate; None unless a verified path could be timed.
-        profile: clearance, limit and speed along the blended path; None with ``trajectory``.
-        reason: empty if there is a trajectory, else why not.
-        settings, seed: what it was planned with.
+        result: outcome and path of the search.
+        trajectory: reference at the controller's rate; None without a verified path that could be timed.
+        profile: clearance, limit and speed along the blended path; None without ``trajectory``.
+        reason: empty if there is a trajectory, else why there is none.
+        settings: of the motion.
+        seed: of the search.
         image_stamp: the image that the grid was made from, if any.
     """
 
@@ -78,21 +78,21 @@ class PlannedMotion:
 
     @property
     def body(self) -> ToolBody:
-        """The tool that it was planned for."""
+        """Tool of the motion."""
         return self.settings.body
 
     @property
     def tracking(self) -> TrackingBound:
-        """The tracking bound that it was planned with."""
+        """Tracking bound of the motion."""
         return self.settings.tracking
 
     @property
     def is_safe(self) -> bool:
-        """Whether there is a motion to execute."""
+        """Whether there is a trajectory to execute."""
         return self.trajectory is not None
 
     def save(self, folder: str | pathlib.Path) -> None:
-        """Write ``motion.json`` and ``motion.npz`` into a folder that appears as a whole."""
+        """Write ``motion.json`` and ``motion.npz`` to a folder, atomically."""
         result = dataclasses.asdict(dataclasses.replace(self.result, path=None))
         record = {
             "format": FORMAT,
@@ -115,7 +115,7 @@ class PlannedMotion:
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "PlannedMotion":
-        """Read what ``save`` wrote.
+        """Read a folder that ``save`` wrote.
 
         Raises:
             DataError: a file is missing, altered or of another format.
@@ -131,15 +131,16 @@ class PlannedMotion:
             result["clearance_m"] = math.nan if result["clearance_m"] is None else result["clearance_m"]
             result["path"] = PosePath(arrays["path"]) if "path" in arrays else None
             if ("path" in arrays) < (result["status"] is PlanStatus.SOLVED):
-                raise ValueError("it is solved and has no path")
-            if ("trajectory_poses" in arrays) != ("profile_poses" in arrays) or not isinstance(record["reason"], str):
-                raise ValueError("a trajectory has a profile, and what has none a reason")
-            if ("trajectory_poses" in arrays) == bool(record["reason"]):
-                raise ValueError(f"its reason is {record['reason']!r}, which does not fit its trajectory")
+                raise ValueError("the status is solved, but there is no path")
+            has_trajectory = "trajectory_poses" in arrays
+            if has_trajectory != ("profile_poses" in arrays) or not isinstance(record["reason"], str):
+                raise ValueError("trajectory and profile must both be present or absent, and the reason a text")
+            if has_trajectory == bool(record["reason"]):
+                raise ValueError(f"the reason {record['reason']!r} must be empty if and only if there is a trajectory")
             return cls(
                 PlanResult(**result),
-                Trajectory(**_group(arrays, "trajectory_")) if "trajectory_poses" in arrays else None,
-                SpeedProfile(**_group(arrays, "profile_")) if "profile_poses" in arrays else None,
+                Trajectory(**_group(arrays, "trajectory_")) if has_trajectory else None,
+                SpeedProfile(**_group(arrays, "profile_")) if has_trajectory else None,
                 record["reason"],
                 from_json(MotionSettings, record["settings"]),
                 record["seed"],
@@ -157,12 +158,12 @@ def plan_motion(
     seed: int = 0,
     image_stamp: ImageStamp | None = None,
 ) -> PlannedMotion:
-    """Plan a path, verify it and schedule its speed. A task without a safe path is an outcome with its reason.
+    """Plan a path, verify it and schedule its speed. Without a safe path, the motion states the reason.
 
     Args:
         grid: P(occupied); its lower face is the table.
         start, goal: poses of the tool in the world frame.
-        settings: of the motion; the defaults are what the chain plans with.
+        settings: of the motion; by default those of the pipeline.
         seed: of the search; the same seed gives the same motion.
         image_stamp: the image that the grid was made from; stored with the motion.
 

@@ -1,4 +1,4 @@
-"""How a search ended, and what it found."""
+"""Outcome of a search: status, path and figures."""
 
 import dataclasses
 import enum
@@ -21,15 +21,19 @@ class PlanStatus(enum.StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class PlanResult:
-    """What the search found, and whether it holds.
+    """Outcome of a search.
 
     Attributes:
         status: how it ended; only a ``SOLVED`` path has passed the continuous check.
-        path: poses from start to goal, or None. An ``UNVERIFIED`` path is shown, never to be executed.
-        margin_m: distance to the unsafe set that was asked for.
-        clearance_m: of the offending pose if start or goal is unsafe, else the smallest along the path.
-        cost: of the path, by the settings' line cost; ``cost_squared_m2`` and ``area_m2`` beside it.
-        n_iterations, n_nodes, solved_at: samples drawn, nodes of the tree, first iteration with a path (-1: none).
+        path: poses from start to goal, or None. An ``UNVERIFIED`` path may be displayed, but must not be executed.
+        margin_m: required distance to the unsafe set.
+        clearance_m: smallest clearance along the path; of the unsafe pose if start or goal is unsafe.
+        cost: of the path, by the line cost of the settings.
+        cost_squared_m2: of the path, by the line cost ``squared``.
+        area_m2: area between path and table.
+        n_iterations: samples drawn.
+        n_nodes: nodes of the tree.
+        solved_at: first iteration with a path; -1 if there is none.
         message: the outcome in a sentence.
     """
 

@@ -1,4 +1,4 @@
-"""What the camera sees, as probabilities in the workspace."""
+"""The scene as the camera sees it: logged scenes, cameras, and grids of occupancy probabilities."""
 
 from deltasafe.scene.camera import Camera
 from deltasafe.scene.extrusion import FieldSettings, grid_from_image

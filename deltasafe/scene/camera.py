@@ -1,4 +1,4 @@
-"""The pinhole camera that looks at the table: world points to pixels, and back at a known height."""
+"""The pinhole camera above the table: projection of world points, and back-projection to a known height."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -13,20 +13,24 @@ __all__ = ["Camera"]
 
 Array = NDArray[np.float64]
 
-LARGEST = 1e6
-"""Pixels or meters: what is larger, or a focal length smaller than its inverse, is given in other units."""
+MAX_NUMBER = 1e6
+"""Largest number in pixels or meters, and inverse of the smallest focal length: others suggest wrong units."""
+
+SCALARS = ("fx", "fy", "cx", "cy")
+SHAPES = {"position_m": (3,), "world_from_camera_rotation": (3, 3)}
 
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A pinhole without distortion. Pixel (row i, column j) covers v in [i, i + 1) and u in [j, j + 1).
+    """A pinhole camera without distortion. Pixel (row i, column j) covers v in [i, i + 1) and u in [j, j + 1).
 
     Attributes:
         width: columns of the image.
         height: rows of the image.
-        fx, fy, cx, cy: focal lengths and principal point in pixels.
+        fx, fy: focal lengths in pixels.
+        cx, cy: principal point in pixels.
         position_m: (3,) optical center in the world frame.
-        world_from_camera_rotation: (3, 3); columns are the camera's x (right), y (down), z (forward) in world axes.
+        world_from_camera_rotation: (3, 3); the columns are the camera's x (right), y (down) and z (forward) axes.
 
     Raises:
         SettingsError: a size or focal length is not positive, a number is beyond 1e6 (a focal length also below
@@ -44,14 +48,14 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            if not (type(getattr(self, name)) is int and 0 < getattr(self, name) <= LARGEST):
+            if not (type(getattr(self, name)) is int and 0 < getattr(self, name) <= MAX_NUMBER):
                 raise SettingsError(f"{name} must be a positive number of pixels, got {getattr(self, name)!r}")
-        for name in ("fx", "fy", "cx", "cy"):
-            if not abs(getattr(self, name)) <= LARGEST:
-                raise SettingsError(f"{name} must be finite, up to {LARGEST:g}, got {getattr(self, name)!r:.80}")
-        if min(self.fx, self.fy) < 1 / LARGEST:
+        for name in SCALARS:
+            if not abs(getattr(self, name)) <= MAX_NUMBER:
+                raise SettingsError(f"{name} must be finite, up to {MAX_NUMBER:g}, got {getattr(self, name)!r:.80}")
+        if min(self.fx, self.fy) < 1 / MAX_NUMBER:
             raise SettingsError(f"focal lengths must be positive, got fx {self.fx}, fy {self.fy}")
-        for name, shape in (("position_m", (3,)), ("world_from_camera_rotation", (3, 3))):
+        for name, shape in SHAPES.items():
             value = np.array(getattr(self, name), dtype=np.float64)
             if value.shape != shape or not np.isfinite(value).all():
                 raise SettingsError(f"{name} must be a finite array of shape {shape}, got {value.tolist()}")
@@ -63,7 +67,7 @@ class Camera:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> "Camera":
-        """Camera from the ``camera`` object of a ``scene.json``.
+        """Read the object ``camera`` of a ``scene.json``.
 
         Raises:
             SettingsError: a field is missing, unknown or outside its domain.
@@ -72,21 +76,15 @@ class Camera:
         if not isinstance(value, Mapping) or set(value) != set(fields):
             found = sorted(value) if isinstance(value, Mapping) else type(value).__name__
             raise SettingsError(f"camera needs exactly the fields {fields}, got {found}")
-        names = ("fx", "fy", "cx", "cy", "position_m", "world_from_camera_rotation")
-        for name in names:
-            if not _holds_numbers(value[name]):
+        for name in (*SCALARS, *SHAPES):
+            if not _holds_numbers(value[name], SHAPES.get(name, ())):
                 raise SettingsError(f"camera must hold numbers, in pixels and meters, got {name} {value[name]!r:.80}")
-        try:
-            numbers: dict[str, Any] = {name: float(value[name]) for name in names[:4]}
-            arrays: dict[str, Any] = {name: np.asarray(value[name], dtype=np.float64) for name in names[4:]}
-        except (TypeError, ValueError) as error:
-            raise SettingsError(f"camera must hold numbers and arrays of numbers ({error})") from error
-        return cls(width=value["width"], height=value["height"], **numbers, **arrays)
+        return cls(**{**value, **{name: float(value[name]) for name in SCALARS}})
 
     def project(self, points_m: Array) -> tuple[Array, Array]:
-        """Pixel coordinates (N, 2) as (u, v) and depth (N,) along the optical axis of world points (N, 3).
+        """Project world points (N, 3): pixel coordinates (u, v) as (N, 2), and depths (N,) along the optical axis.
 
-        Points that are not in front of the camera have depth <= 0 and pixel coordinates NaN.
+        Points that are not in front of the camera have a depth <= 0 and pixel coordinates NaN.
         """
         local = (np.asarray(points_m, dtype=np.float64) - self.position_m) @ self.world_from_camera_rotation
         depth_m = local[:, 2]
@@ -96,7 +94,7 @@ class Camera:
         return uv, depth_m
 
     def pixel_to_plane(self, uv: Array, z_m: float) -> Array:
-        """World points (N, 3) where the rays through pixel coordinates (N, 2) meet the plane z = ``z_m``.
+        """Intersect the rays through pixel coordinates (N, 2) with the plane z = ``z_m``: world points (N, 3).
 
         Raises:
             SettingsError: a ray does not meet the plane in front of the camera.
@@ -105,16 +103,17 @@ class Camera:
         local = np.column_stack([(uv - (self.cx, self.cy)) / (self.fx, self.fy), np.ones(len(uv))])
         rays = local @ self.world_from_camera_rotation.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            reach = (z_m - self.position_m[2]) / rays[:, 2]
-        if not (np.isfinite(reach) & (reach > 0)).all():
+            depth_m = (z_m - self.position_m[2]) / rays[:, 2]
+        if not (np.isfinite(depth_m) & (depth_m > 0)).all():
             raise SettingsError(
                 f"the camera's rays do not all meet the plane z = {z_m} m; the whole image must show the table"
             )
-        return np.asarray(self.position_m + rays * reach[:, None])
+        return np.asarray(self.position_m + rays * depth_m[:, None])
 
 
-def _holds_numbers(value: Any, depth: int = 2) -> bool:
-    """Whether JSON holds nothing but numbers up to ``LARGEST``; NumPy would also convert text, true and false."""
-    if isinstance(value, list | tuple | np.ndarray):
-        return depth > 0 and all(_holds_numbers(one, depth - 1) for one in value)
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+def _holds_numbers(value: Any, shape: tuple[int, ...]) -> bool:
+    """Return whether a JSON value is an array of numbers; NumPy would also convert text and booleans."""
+    if shape:
+        is_array = isinstance(value, list | tuple | np.ndarray) and len(value) == shape[0]
+        return is_array and all(_holds_numbers(one, shape[1:]) for one in value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_NUMBER

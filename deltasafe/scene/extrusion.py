@@ -1,4 +1,4 @@
-"""From an image of probabilities to the workspace: extrusion along the camera's rays (section IV-A, decision 11)."""
+"""Extrusion of a probability image along the camera's rays to an occupancy grid (section IV-A, decision 11)."""
 
 import dataclasses
 import math
@@ -15,16 +15,16 @@ from deltasafe.scene.occupancy import OccupancyGrid
 __all__ = ["FieldSettings", "grid_from_image"]
 
 LEVELS = 5
-"""Maxima of squares of 1, 2, 4, 8 and 16 pixels an edge."""
+"""Maximum pyramid: squares with edges of 1, 2, 4, 8 and 16 pixels."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FieldSettings:
-    """How the image becomes a field.
+    """Settings of the occupancy grid of an image.
 
     Attributes:
-        voxel_m: edge of a voxel; 2.5 mm is 4 to 5 pixels of a 640 x 480 camera half a meter above the table.
-        depth_margin_m: the field reaches this far above the hand, for errors of its height.
+        voxel_m: edge of a voxel; 2.5 mm are 4 to 5 pixels of a 640 x 480 camera half a meter above the table.
+        depth_margin_m: the grid reaches this far above the hand, to allow for errors of the hand's height.
     """
 
     voxel_m: float = 0.0025
@@ -46,8 +46,8 @@ def grid_from_image(
 ) -> OccupancyGrid:
     """Extrude an image of P(occupied) from the table to the height of the hand plus the depth margin.
 
-    A voxel takes the largest probability of the pixels that its projection touches (a box around the projected
-    corners), and 1 if the camera does not see all of it. The grid spans what the camera sees of the table.
+    A voxel gets the largest value of the pixels in the bounding box of its projected corners, or 1 if the box exceeds
+    the image. The grid covers the part of the table that the camera sees.
 
     Args:
         p_occupied_image: (H, W) of the camera's size, in [0, 1].
@@ -57,8 +57,8 @@ def grid_from_image(
         settings: resolution and margin.
 
     Raises:
-        SettingsError: image and camera differ in size, a probability lies outside [0, 1], or the camera is not
-            above the field with the whole image showing the table.
+        SettingsError: image and camera differ in size, a value is outside [0, 1], the camera is not above the grid, or
+            a part of the image does not show the table.
     """
     settings = settings or FieldSettings()
     image = np.ascontiguousarray(p_occupied_image, dtype=np.float32)
@@ -78,14 +78,14 @@ def grid_from_image(
     seen = as_rows(camera.pixel_to_plane(corners.astype(np.float64), table_z_m), 3, "what the camera sees")[:, :2]
     origin_m = np.append(np.floor(seen.min(axis=0) / settings.voxel_m) * settings.voxel_m, table_z_m)
     columns = np.ceil((seen.max(axis=0) - origin_m[:2]) / settings.voxel_m).astype(int)
-    nx, ny = (int(count) for count in columns)
-    seen_as = _pinhole(camera)
-    p_occupied = _largest_in_footprints(_largest_in_squares(image), seen_as, origin_m, settings.voxel_m, nx, ny, layers)
+    shape = int(columns[0]), int(columns[1]), layers
+    pyramid = _maximum_pyramid(image)
+    p_occupied = _voxel_maxima(pyramid, _projection_matrix(camera), origin_m, settings.voxel_m, shape)
     return OccupancyGrid(p_occupied, origin_m, settings.voxel_m)
 
 
-def _pinhole(camera: Camera) -> NDArray[np.float64]:
-    """(3, 4): world point (x, y, z, 1) to (u w, v w, w) with the depth w."""
+def _projection_matrix(camera: Camera) -> NDArray[np.float64]:
+    """(3, 4) matrix that maps a world point (x, y, z, 1) to (u w, v w, w), where w is the depth."""
     intrinsic = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     world_to_camera = camera.world_from_camera_rotation.T
     return np.ascontiguousarray(
@@ -94,8 +94,8 @@ def _pinhole(camera: Camera) -> NDArray[np.float64]:
 
 
 @compiled
-def _largest_in_squares(image):  # type: ignore[no-untyped-def]
-    """(LEVELS, H, W): largest of 2^level pixels an edge, from each one right and down (fewer at the image's end)."""
+def _maximum_pyramid(image):  # type: ignore[no-untyped-def]
+    """(LEVELS, H, W) maxima of squares of 2^level pixels right of and below each pixel, cut off at the border."""
     height, width = image.shape
     maxima = np.empty((LEVELS, height, width), np.float32)
     maxima[0] = image
@@ -103,39 +103,45 @@ def _largest_in_squares(image):  # type: ignore[no-untyped-def]
         half = 1 << (level - 1)
         for row in range(height):
             upper, lower = maxima[level - 1, row], maxima[level - 1, min(row + half, height - 1)]
-            found = maxima[level, row]
+            row_maxima = maxima[level, row]
             for column in range(width):
-                found[column] = max(upper[column], lower[column])
-            for column in range(width - half):  # nothing is read that has been written
-                found[column] = max(found[column], found[column + half])
+                row_maxima[column] = max(upper[column], lower[column])
+            for column in range(width - half):  # reads ahead of what it writes
+                row_maxima[column] = max(row_maxima[column], row_maxima[column + half])
     return maxima
 
 
 @compiled
-def _project_plane(seen_as, x, origin_m, voxel_m, uv):  # type: ignore[no-untyped-def]
-    """Pixel coordinates (ny+1, nz+1, 2) of the lattice points of one plane; behind the camera far outside."""
+def _project_plane(projection, x, origin_m, voxel_m, uv):  # type: ignore[no-untyped-def]
+    """Write the pixel coordinates (ny + 1, nz + 1, 2) of the voxel corners in one plane; far outside if behind it."""
     for j in range(uv.shape[0]):
         y = origin_m[1] + voxel_m * j
         for k in range(uv.shape[1]):
             z = origin_m[2] + voxel_m * k
-            depth = seen_as[2, 0] * x + seen_as[2, 1] * y + seen_as[2, 2] * z + seen_as[2, 3]
+            depth = _dot(projection[2], x, y, z)
             if depth > 0.0:
-                uv[j, k, 0] = (seen_as[0, 0] * x + seen_as[0, 1] * y + seen_as[0, 2] * z + seen_as[0, 3]) / depth
-                uv[j, k, 1] = (seen_as[1, 0] * x + seen_as[1, 1] * y + seen_as[1, 2] * z + seen_as[1, 3]) / depth
+                uv[j, k, 0] = _dot(projection[0], x, y, z) / depth
+                uv[j, k, 1] = _dot(projection[1], x, y, z) / depth
             else:
                 uv[j, k] = -1e9
 
 
+@kernel
+def _dot(row, x, y, z):  # type: ignore[no-untyped-def]
+    return row[0] * x + row[1] * y + row[2] * z + row[3]
+
+
 @compiled
-def _largest_in_footprints(maxima, seen_as, origin_m, voxel_m, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """(nx, ny, nz) maxima of the image over the boxes around the projected corners of each voxel; 1 if not all seen."""
-    height, width = maxima.shape[1:]
-    largest = np.ones((nx, ny, nz), np.float32)
+def _voxel_maxima(pyramid, projection, origin_m, voxel_m, shape):  # type: ignore[no-untyped-def]
+    """Maxima (nx, ny, nz) of the image over the projected voxels; 1 for voxels that are not seen completely."""
+    nx, ny, nz = shape
+    height, width = pyramid.shape[1:]
+    maxima = np.ones(shape, np.float32)
     near, far = np.empty((ny + 1, nz + 1, 2)), np.empty((ny + 1, nz + 1, 2))
-    _project_plane(seen_as, origin_m[0], origin_m, voxel_m, far)
+    _project_plane(projection, origin_m[0], origin_m, voxel_m, far)
     for i in range(nx):
         near, far = far, near
-        _project_plane(seen_as, origin_m[0] + voxel_m * (i + 1), origin_m, voxel_m, far)
+        _project_plane(projection, origin_m[0] + voxel_m * (i + 1), origin_m, voxel_m, far)
         for j in range(ny):
             level = 0
             above = _box(near, far, j, 0)
@@ -152,21 +158,21 @@ def _largest_in_footprints(maxima, seen_as, origin_m, voxel_m, nx, ny, nz):  # t
                     level -= 1
                 while level < LEVELS - 1 and 2 << level <= extent:
                     level += 1
-                largest[i, j, k] = _largest_in_box(maxima[level], 1 << level, top, bottom, first, last)
-    return largest
+                maxima[i, j, k] = _maximum_in_box(pyramid[level], 1 << level, top, bottom, first, last)
+    return maxima
 
 
 @kernel
 def _box(near, far, j, k):  # type: ignore[no-untyped-def]
-    """Box around the lattice points of a voxel's lower face: least and largest u, least and largest v."""
+    """Bounding box of the four projected corners of a voxel's lower face: least and largest u, least and largest v."""
     a, b, c, d = near[j, k, 0], near[j + 1, k, 0], far[j, k, 0], far[j + 1, k, 0]
     e, f, g, h = near[j, k, 1], near[j + 1, k, 1], far[j, k, 1], far[j + 1, k, 1]
     return min(a, b, c, d), max(a, b, c, d), min(e, f, g, h), max(e, f, g, h)
 
 
 @kernel
-def _largest_in_box(squares, step, top, bottom, first, last):  # type: ignore[no-untyped-def]
-    """Largest of the pixels in a box that holds a square of ``step`` an edge; squares that overlap cover it."""
+def _maximum_in_box(squares, step, top, bottom, first, last):  # type: ignore[no-untyped-def]
+    """Maximum of the pixels in a box, from maxima of overlapping squares with an edge of ``step`` pixels."""
     last_row, last_column = bottom - step + 1, last - step + 1
     value, row = np.float32(0.0), top
     while True:

@@ -1,4 +1,4 @@
-"""Several cameras, one field: what any of them sees to be free is free."""
+"""Fusion of the grids of several cameras: a point is free if any camera sees it free."""
 
 from collections.abc import Sequence
 
@@ -11,16 +11,16 @@ __all__ = ["fuse_grids"]
 
 
 def fuse_grids(grids: Sequence[OccupancyGrid]) -> OccupancyGrid:
-    """The field of several cameras: at each point the smallest of their probabilities.
+    """Fuse grids of the same scene: the smallest p_occupied at each point.
 
-    A point can only be occupied if every camera that looks at it sees a hand in its pixel, so that each camera's
-    p_occupied bounds it from above; where a camera sees nothing its field says 1, which bounds nothing. A product
-    would need errors of the cameras to be independent, which those of one ensemble are not.
+    If a point is occupied, each camera that sees it sees the hand in its pixel. The p_occupied of each camera is
+    therefore an upper bound; where a camera sees nothing, its grid holds 1. A product would require independent errors
+    of the cameras, but predictions of the same ensemble have dependent errors.
 
-    The result spans all grids sideways, and upward to the lowest upper face: above it one of them is free already.
+    The result covers the area of all grids, up to the lowest upper face: above that face, one of the grids is free.
 
     Raises:
-        SettingsError: no grid, or grids whose voxels do not coincide or that stand on different tables.
+        SettingsError: no grid, or grids whose voxels do not coincide or whose tables differ in height.
     """
     if not grids:
         raise SettingsError("there is no grid to fuse")

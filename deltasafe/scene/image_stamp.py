@@ -1,4 +1,4 @@
-"""Which image something was made from: travels with the field and the motion that follow from it."""
+"""Digest and time of an image, stored with the grids and motions that were computed from it."""
 
 import dataclasses
 import hashlib
@@ -14,11 +14,11 @@ __all__ = ["ImageStamp"]
 
 @dataclasses.dataclass(frozen=True)
 class ImageStamp:
-    """One image of a camera.
+    """Identity of an image.
 
     Attributes:
-        image_sha256: of its pixels and their arrangement.
-        taken_s: when, by the camera's clock; a logged scene of one image is its own origin of time, 0.
+        image_sha256: of dtype, shape and pixels.
+        taken_s: time by the camera's clock; 0 for the image of a logged scene.
     """
 
     image_sha256: str
@@ -32,7 +32,7 @@ class ImageStamp:
 
     @classmethod
     def of(cls, image: NDArray[np.uint8], taken_s: float = 0.0) -> "ImageStamp":
-        """The sighting of an image (H, W, channels)."""
+        """Compute the stamp of an image (H, W, channels)."""
         state = hashlib.sha256(f"{image.dtype.str}{image.shape}".encode())
         state.update(np.ascontiguousarray(image).tobytes())
         return cls(state.hexdigest(), taken_s)

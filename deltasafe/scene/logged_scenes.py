@@ -1,4 +1,4 @@
-"""Logged scenes: an image of the table with a hand on it, its camera, and the task of the tool."""
+"""Logged scenes: an image of a hand on the table, its camera, and the task of the tool."""
 
 import dataclasses
 import math
@@ -17,23 +17,24 @@ from deltasafe.scene.camera import Camera
 
 __all__ = ["LoggedScene", "load_scenes"]
 
-LONGEST_NAME = 100
-FARTHEST_M = 10.0
-"""Of anything in a scene: what lies farther is given in other units than meters."""
-LARGEST = 1e6
-"""Of any number: integers of JSON may be too large for a float."""
+MAX_NAME_LENGTH = 100
+MAX_DISTANCE_M = 10.0
+"""Largest coordinate in a scene: larger ones suggest another unit than meters."""
+
+MAX_NUMBER = 1e6
+"""Largest number in a scene: JSON integers may be too large for a float."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LoggedScene:
-    """One logged scene; pixels stay on disk. Mask and mesh are ground truth: for judging, never for planning.
+    """A logged scene; images stay on disk. Mask and mesh are ground truth for evaluation, never used for planning.
 
     Attributes:
         id: name of the scene.
-        image_path: photograph, ``camera.height`` x ``camera.width``.
+        image_path: photograph of the size of the camera.
         camera: the camera that took it.
         table_z_m: height of the table.
-        hand_height_m: height above the table of the highest point of the hand inside the view.
+        hand_height_m: height above the table of the highest visible point of the hand.
         start, goal: poses of the tool.
         mask_path: true mask (255 = hand).
         mesh_path: true mesh, read by ``true_mesh``.
@@ -54,7 +55,7 @@ class LoggedScene:
         """Read and check ``scene.json`` and the files that it names.
 
         Raises:
-            DataError: a file is missing or a field is missing or outside its domain; names both.
+            DataError: a file is missing, or a field is missing or outside its domain; names file and field.
         """
         folder = pathlib.Path(folder)
         path = folder / "scene.json"
@@ -87,7 +88,7 @@ class LoggedScene:
         return scene
 
     def true_mesh(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """Ground truth in the world frame: vertices_m (V, 3) float32 and triangles (F, 3) int32.
+        """Read the true mesh in the world frame: vertices_m (V, 3) float32 and triangles (F, 3) int32.
 
         Raises:
             DataError: the file is not such a mesh.
@@ -101,8 +102,8 @@ class LoggedScene:
             raise DataError(
                 self.mesh_path, f"vertices_m must be finite (V, 3), got {vertices_m.dtype} {vertices_m.shape}"
             )
-        if not np.isfinite(vertices_m).all() or np.abs(vertices_m).max(initial=0.0) > FARTHEST_M:
-            raise DataError(self.mesh_path, f"vertices_m must be finite, in meters, and within {FARTHEST_M:g} m")
+        if not np.isfinite(vertices_m).all() or np.abs(vertices_m).max(initial=0.0) > MAX_DISTANCE_M:
+            raise DataError(self.mesh_path, f"vertices_m must be finite, in meters, and within {MAX_DISTANCE_M:g} m")
         if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
             raise DataError(self.mesh_path, f"triangles must be integers (F, 3), got shape {triangles.shape}")
         if triangles.size == 0 or triangles.min() < 0 or triangles.max() >= len(vertices_m):
@@ -111,10 +112,10 @@ class LoggedScene:
 
 
 def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
-    """All scenes of a folder (one sub-folder each, any that holds a ``scene.json``), in order of name.
+    """Read the scenes of a folder, one per sub-folder that holds a ``scene.json``, in order of name.
 
     Raises:
-        DataError: there is none, two share an id, or one is defective.
+        DataError: there is no scene, two scenes have the same id, or a scene is invalid.
     """
     folder = pathlib.Path(folder)
     scenes = tuple(LoggedScene.load(path.parent) for path in sorted(folder.glob("*/scene.json")))
@@ -123,7 +124,7 @@ def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
     ids = [scene.id for scene in scenes]
     if len(set(ids)) < len(ids):
         twice = sorted({scene_id for scene_id in ids if ids.count(scene_id) > 1})
-        raise DataError(folder, f"scene ids must differ, these occur more than once: {twice}; rename one")
+        raise DataError(folder, f"scene ids must be unique, these occur more than once: {twice}; rename one")
     return scenes
 
 
@@ -134,12 +135,12 @@ def _member(path: pathlib.Path, record: Any, name: str) -> Any:
 
 
 def _check_view(path: pathlib.Path, camera: Camera, table_z_m: float, hand_height_m: float) -> None:
-    """Refuse what a camera in other units, or with the axes of another convention, makes of the scene."""
+    """Refuse a camera that sees the scene implausibly: its units or axes probably follow another convention."""
     above_m = float(camera.position_m[2]) - table_z_m
-    if not 0 < above_m <= FARTHEST_M or np.abs(camera.position_m).max() > FARTHEST_M:
+    if not 0 < above_m <= MAX_DISTANCE_M or np.abs(camera.position_m).max() > MAX_DISTANCE_M:
         raise DataError(
             path,
-            f"field camera.position_m must be above the table and within {FARTHEST_M:g} m, in meters, "
+            f"field camera.position_m must be above the table and within {MAX_DISTANCE_M:g} m, in meters, "
             f"got {camera.position_m.tolist()} with the table at {table_z_m}",
         )
     if hand_height_m >= above_m:
@@ -151,29 +152,28 @@ def _check_view(path: pathlib.Path, camera: Camera, table_z_m: float, hand_heigh
         seen_m = camera.pixel_to_plane(corners, table_z_m)
     except SettingsError as error:
         raise DataError(path, f"field camera: {error}") from error
-    if np.abs(seen_m).max() > FARTHEST_M:
+    if np.abs(seen_m).max() > MAX_DISTANCE_M:
         raise DataError(
-            path, f"field camera must see no farther than {FARTHEST_M:g} m, it sees {np.abs(seen_m).max():.3g} m"
+            path, f"field camera must see at most {MAX_DISTANCE_M:g} m far, but sees {np.abs(seen_m).max():.3g} m"
         )
 
 
 def _is_name(value: str) -> bool:
-    return value.isprintable() and value not in ("", ".", "..") and len(value) <= LONGEST_NAME
+    return value.isprintable() and value not in ("", ".", "..") and len(value) <= MAX_NAME_LENGTH
 
 
 def _number(path: pathlib.Path, record: Any, name: str) -> float:
-    value = _member(path, record, name)
-    return _finite(path, name, value)
+    return _finite(path, name, _member(path, record, name))
 
 
 def _finite(path: pathlib.Path, name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_NUMBER:
         raise DataError(path, f"field {name} must be a finite number, got {value!r:.80}")
     return float(value)
 
 
 def _only(path: pathlib.Path, name: str, value: Any, fields: set[str]) -> None:
-    """Refuse a field that would be ignored, such as a frame or a tilt."""
+    """Refuse unknown fields, such as a frame or a tilt, instead of ignoring them."""
     unknown = sorted(set(value) - fields) if isinstance(value, Mapping) else []
     if unknown:
         raise DataError(path, f"field {name} may hold {sorted(fields)}, in the world frame, got {unknown}; remove them")
@@ -185,20 +185,15 @@ def _pose(path: pathlib.Path, record: Any, name: str, table_z_m: float) -> Pose:
     _only(path, name, value, {"position_m", "yaw_rad"})
     if not isinstance(position, list) or len(position) != 3:
         raise DataError(path, f"field {name}.position_m must hold x, y, z, got {position!r}")
-    try:
-        x_m, y_m, z_m = (_finite(path, f"{name}.position_m", coordinate) for coordinate in position)
-        pose = Pose(x_m, y_m, z_m, _number(path, value, "yaw_rad"))
-    except DataError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise DataError(path, f"field {name} must be a pose, in meters and radians ({error})") from error
-    if max(abs(x_m), abs(y_m), abs(z_m)) > FARTHEST_M or not z_m > table_z_m or abs(pose.yaw_rad) > 2 * math.pi:
+    x_m, y_m, z_m = (_finite(path, f"{name}.position_m", coordinate) for coordinate in position)
+    yaw_rad = _number(path, value, "yaw_rad")
+    if max(abs(x_m), abs(y_m), abs(z_m)) > MAX_DISTANCE_M or not z_m > table_z_m or abs(yaw_rad) > 2 * math.pi:
         raise DataError(
             path,
-            f"field {name} must lie above the table, within {FARTHEST_M:g} m, and be turned by at most 2 pi; meters "
-            f"and radians, got {pose.as_tuple()}",
+            f"field {name} must lie above the table, within {MAX_DISTANCE_M:g} m, with a yaw of at most 2 pi, "
+            f"in meters and radians, got {(x_m, y_m, z_m, yaw_rad)}",
         )
-    return pose
+    return Pose(x_m, y_m, z_m, yaw_rad)
 
 
 def _file(path: pathlib.Path, record: Any, name: str) -> pathlib.Path:
@@ -206,7 +201,7 @@ def _file(path: pathlib.Path, record: Any, name: str) -> pathlib.Path:
     if not isinstance(value, str) or pathlib.PurePath(value).name != value:
         raise DataError(path, f"field {name} must be the name of a file beside it, got {value!r}")
     if not (path.parent / value).is_file():
-        raise DataError(path.parent / value, f"is missing, though field {name} of {path.name} names it; restore it")
+        raise DataError(path.parent / value, f"is missing, but field {name} of {path.name} names it; restore it")
     if not (path.parent / value).resolve().is_relative_to(path.parent.resolve()):
-        raise DataError(path.parent / value, "is a link out of the scene's folder; copy the file itself (cp -L)")
+        raise DataError(path.parent / value, "links to a file outside the scene's folder; copy the file (cp -L)")
     return path.parent / value

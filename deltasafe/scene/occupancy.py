@@ -1,4 +1,4 @@
-"""P(occupied) of every point of the workspace, as a grid: free above it, unknown and so occupied beside it."""
+"""The occupancy grid: P(occupied) of each voxel; free above the grid, unknown and therefore occupied beside it."""
 
 import dataclasses
 import math
@@ -15,20 +15,20 @@ from deltasafe.io.storage import atomic_file
 
 __all__ = ["OccupancyGrid"]
 
-LEAST_VOXEL_M = 1e-5
-"""Smallest edge of a voxel: the inverse must stay a number that look-ups can multiply by."""
+MIN_VOXEL_M = 1e-5
+"""Smallest edge of a voxel: its inverse, which look-ups multiply by, must not overflow."""
 
 
 @dataclasses.dataclass(frozen=True)
 class OccupancyGrid:
-    """p_occupied, constant in each cubic voxel.
+    """P(occupied), constant in each cubic voxel.
 
-    Outside the grid (decision 11): 0 above the plane of its upper face, 1 everywhere else, since what was not
-    seen is unknown, and unknown is occupied. Its lower face is the table.
+    Outside the grid (decision 11), p_occupied is 0 above the plane of the upper face, and 1 elsewhere: space that was
+    not seen counts as occupied. The lower face is the table.
 
     Attributes:
         p_occupied: (nx, ny, nz) float32 in [0, 1], read-only.
-        origin_m: (3,) lowest corner of the grid in the world frame.
+        origin_m: (3,) lower corner of the grid in the world frame.
         voxel_m: edge of a voxel.
 
     Raises:
@@ -49,8 +49,8 @@ class OccupancyGrid:
             raise SettingsError("p_occupied must lie in [0, 1]; NaN is not a probability")
         if origin_m.shape != (3,) or not np.isfinite(origin_m).all():
             raise SettingsError(f"origin_m must be a finite point, got {origin_m.tolist()}")
-        if not (math.isfinite(self.voxel_m) and self.voxel_m >= LEAST_VOXEL_M):
-            raise SettingsError(f"voxel_m must be a length of at least {LEAST_VOXEL_M:g} meters, got {self.voxel_m}")
+        if not (math.isfinite(self.voxel_m) and self.voxel_m >= MIN_VOXEL_M):
+            raise SettingsError(f"voxel_m must be a length of at least {MIN_VOXEL_M:g} meters, got {self.voxel_m}")
         as_rows([origin_m, origin_m + self.voxel_m * np.array(p_occupied.shape)], 3, "the corners of the grid")
         p_occupied.setflags(write=False)
         origin_m.setflags(write=False)
@@ -60,11 +60,11 @@ class OccupancyGrid:
 
     @property
     def upper_m(self) -> NDArray[np.float64]:
-        """(3,) highest corner of the grid; above its z the workspace is free."""
+        """(3,) upper corner of the grid; above its z the workspace is free."""
         return np.asarray(self.origin_m + self.voxel_m * np.array(self.p_occupied.shape))
 
     def at(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
-        """p_occupied (N,) float32 of world points (N, 3).
+        """Look up p_occupied (N,) float32 at world points (N, 3).
 
         Raises:
             SettingsError: a point is not finite, or farther than 1000 m from 0.
@@ -79,7 +79,7 @@ class OccupancyGrid:
     def most_on(
         self, points_m: NDArray[np.float64], rotations: NDArray[np.float64], positions_m: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """(N,) largest p_occupied that the points (P, 3) of a body meet in each of N poses.
+        """Look up the largest p_occupied (N,) at the points (P, 3) of a body, in each of N poses.
 
         Args:
             rotations: (N, 3, 3) world from body; positions_m: (N, 3).
@@ -91,10 +91,10 @@ class OccupancyGrid:
         if np.shape(rotations) != (len(positions), 3, 3):
             raise SettingsError(f"rotations must have shape ({len(positions)}, 3, 3), got {np.shape(rotations)}")
         turns = as_rows(np.reshape(rotations, (-1, 3)), 3, "rows of rotations").reshape(-1, 3, 3)
-        return np.asarray(_most_on(self.p_occupied, self.origin_m, self.voxel_m, points, turns, positions))
+        return np.asarray(_largest_on_body(self.p_occupied, self.origin_m, self.voxel_m, points, turns, positions))
 
     def save(self, file: str | pathlib.Path) -> None:
-        """Write as a compressed ``.npz``, atomically."""
+        """Write a compressed ``.npz``, atomically."""
         file = pathlib.Path(file)
         if file.suffix != ".npz":
             raise SettingsError(f"an occupancy grid is stored as .npz, got {file.name}")
@@ -108,10 +108,10 @@ class OccupancyGrid:
 
     @classmethod
     def load(cls, file: str | pathlib.Path) -> "OccupancyGrid":
-        """Read what ``save`` wrote.
+        """Read a file that ``save`` wrote.
 
         Raises:
-            DataError: the file is missing or holds no such grid.
+            DataError: the file is missing or is not an occupancy grid.
         """
         try:
             arrays = read_npz(file)
@@ -122,9 +122,9 @@ class OccupancyGrid:
 
 
 @compiled
-def _most_on(p_occupied, origin, voxel, points, rotations, positions):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _largest_on_body(p_occupied, origin, voxel, points, rotations, positions):  # type: ignore[no-untyped-def]  # pragma: no cover
     nx, ny, nz = p_occupied.shape
-    most = np.zeros(len(positions), np.float32)
+    largest = np.zeros(len(positions), np.float32)
     for n in range(len(positions)):
         for m in range(len(points)):
             x, y, z = points[m, 0], points[m, 1], points[m, 2]
@@ -135,7 +135,7 @@ def _most_on(p_occupied, origin, voxel, points, rotations, positions):  # type: 
             i = math.floor((positions[n, 0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z - origin[0]) / voxel)
             j = math.floor((positions[n, 1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z - origin[1]) / voxel)
             inside = 0 <= i < nx and 0 <= j < ny and k >= 0
-            most[n] = max(most[n], p_occupied[i, j, k] if inside else np.float32(1.0))
-            if most[n] >= 1.0:
+            largest[n] = max(largest[n], p_occupied[i, j, k] if inside else np.float32(1.0))
+            if largest[n] >= 1.0:
                 break
-    return most
+    return largest

@@ -1,4 +1,4 @@
-"""Analytic obstacles whose occupancy falls linearly with the distance to their surface (section V-B)."""
+"""Analytic obstacles with P(occupied) that decreases linearly with the distance to their surface (section V-B)."""
 
 import dataclasses
 import math
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import as_rows
-from deltasafe.scene.occupancy import LEAST_VOXEL_M, OccupancyGrid
+from deltasafe.scene.occupancy import MIN_VOXEL_M, OccupancyGrid
 
 __all__ = ["Cuboid", "Shape", "Sphere", "grid_from_shapes", "p_occupied_near"]
 
@@ -32,7 +32,7 @@ class Sphere:
 
     @property
     def reach_m(self) -> float:
-        """Radius of the least ball around the center that encloses it."""
+        """Radius of the smallest ball around the center that contains the shape."""
         return self.radius_m
 
     def distance_m(self, points_m: Array) -> Array:
@@ -42,7 +42,7 @@ class Sphere:
 
 @dataclasses.dataclass(frozen=True)
 class Cuboid:
-    """A box of half edges ``half_extents_m`` around ``center_m``, turned by ``yaw_rad`` about the vertical."""
+    """A box with half edges ``half_extents_m`` around ``center_m``, rotated by ``yaw_rad`` about the vertical."""
 
     center_m: Triple
     half_extents_m: Triple
@@ -57,7 +57,7 @@ class Cuboid:
 
     @property
     def reach_m(self) -> float:
-        """Radius of the least ball around the center that encloses it."""
+        """Radius of the smallest ball around the center that contains the shape."""
         return math.hypot(*self.half_extents_m)
 
     def distance_m(self, points_m: Array) -> Array:
@@ -71,10 +71,10 @@ Shape: TypeAlias = Sphere | Cuboid
 
 
 def p_occupied_near(shapes: Sequence[Shape], decay_m: float, points_m: Array, slack_m: float = 0.0) -> Array:
-    """P(occupied) (N,) of points (N, 3): 1 in a shape, falling linearly to 0 at ``decay_m``; joined by noisy-OR.
+    """P(occupied) (N,) at points (N, 3): 1 inside a shape, decreasing linearly to 0 at the distance ``decay_m``.
 
-    Decision 14: 1 - prod(1 - p_i), so that a mean shape is always occupied. With ``slack_m`` the distances are
-    shortened by it, which bounds the probability of all points within that distance.
+    Shapes are combined by noisy-OR, 1 - prod(1 - p_i) (decision 14), so that the inside of each is occupied. Distances
+    are reduced by ``slack_m``: the result bounds P(occupied) of all points within that distance.
     """
     _check_decay(decay_m)
     points_m = as_rows(points_m, 3, "points_m")
@@ -99,21 +99,21 @@ def _p_free(shape: Shape, decay_m: float, points_m: Array, slack_m: float) -> Ar
 def grid_from_shapes(
     shapes: Sequence[Shape], decay_m: float, lower_m: Triple, upper_m: Triple, voxel_m: float = 0.005
 ) -> OccupancyGrid:
-    """Grid between two corners; a voxel takes an upper bound of P(occupied) over all its points.
+    """Rasterize shapes between two corners; each voxel holds an upper bound of P(occupied) over its points.
 
     Raises:
         SettingsError: the corners do not span a box, or ``decay_m`` or ``voxel_m`` is outside its domain.
     """
     lower, upper = as_rows((lower_m, upper_m), 3, "the corners of the grid")
-    if not (upper > lower).all() or not LEAST_VOXEL_M <= voxel_m < math.inf:
+    if not (upper > lower).all() or not MIN_VOXEL_M <= voxel_m < math.inf:
         raise SettingsError(
-            f"a grid needs upper > lower and voxel_m >= {LEAST_VOXEL_M:g}, got {lower_m}, {upper_m}, {voxel_m}"
+            f"a grid needs upper > lower and voxel_m >= {MIN_VOXEL_M:g}, got {lower_m}, {upper_m}, {voxel_m}"
         )
     _check_decay(decay_m)
     counts = np.ceil((upper - lower) / voxel_m - 1e-9).astype(int)
     slack_m = voxel_m * math.sqrt(3) / 2
     p_free = np.ones(counts)
-    for shape in shapes:  # beyond its reach a shape changes nothing
+    for shape in shapes:  # a shape affects only the voxels within its reach
         reach_m = shape.reach_m + decay_m + slack_m
         first = np.clip(np.floor((np.asarray(shape.center_m) - reach_m - lower) / voxel_m), 0, counts).astype(int)
         last = np.clip(np.ceil((np.asarray(shape.center_m) + reach_m - lower) / voxel_m), first, counts).astype(int)

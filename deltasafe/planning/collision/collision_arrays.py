@@ -1,4 +1,4 @@
-"""A field and a body as the exact tests of segments read them, where no certificate settles a pose."""
+"""Field and body as flat arrays, for the poses that the lookup tables do not accept."""
 
 import math
 from typing import NamedTuple
@@ -11,80 +11,90 @@ from deltasafe.planning.collision.distance_field import DistanceField, Lattice
 
 __all__ = ["CollisionArrays", "collision_arrays_of"]
 
-GOLDEN = (math.sqrt(5) - 1) / 2
+GOLDEN_RATIO = (math.sqrt(5) - 1) / 2
 
 
 class CollisionArrays(NamedTuple):
-    """A field as a body meets it.
+    """Distances of a field and bounding balls of a body, as compiled code reads them.
 
     Attributes:
-        above: (nx, ny, nz) uint8, the clearance of any ray upwards from a voxel: v > 0 says at least v - 1 fine units.
-        unsafe: (nx, ny, ceil(nz / 32)) int32, the unsafe voxels as bits.
-        few: (m, 3) few balls that contain the disc: center in its plane in voxels, radius in the plane in m;
-            ``widest_m`` the largest radius.
-        slices: (nx, ny, nz) uint8, horizontal distance from the middle of a voxel to all that is unsafe in its slice,
+        ray_clearance: (nx, ny, nz) uint8. v > 0: rays upward from the voxel have a clearance of at least v - 1 fine
+            units. 0: no bound.
+        unsafe_bits: (nx, ny, ceil(nz / 32)) int32, one bit per voxel.
+        circles: (m, 3) circles that cover the disc seen from above: center in voxels, radius in meters.
+        max_circle_radius_m: largest radius of ``circles``.
+        slice_distance: (nx, ny, nz) uint8, horizontal distance from the voxel's center to unsafe voxels of its slice,
             in fine units.
-        slabs: the same to all slices that disc and margin may meet while the pose keeps its height up to ``slab_m``.
-        ball, ray: squared distances (``FieldArrays``).
-        groups: (m, 5) few balls that contain the disc, tight in its plane: center, radius, and the radius that also
-            contains the balls of the cover given to it; cover: (n, 4) many balls that contain the disc closely, by
-            group; first: (m + 1,) where in the cover each group begins.
+        slab_distance: the same for all slices that disc and margin reach while the height changes by at most
+            ``slab_rise_m``.
+        slab_rise_m: see ``slab_distance``.
+        squared_distance, squared_ray_distance: see ``FieldArrays``.
+        balls: (m, 5) bounding balls of the disc: center, radius, and radius that also contains the ball's group of the
+            cover.
+        cover: (n, 4) small balls that cover the disc tightly, sorted by group: center and radius.
+        group_start: (m + 1,) index into ``cover`` of the first ball of each group.
         lattice: of the field.
-        floor_z_m: the table.
+        floor_z_m: height of the table.
     """
 
-    above: NDArray[np.uint8]
-    unsafe: NDArray[np.int32]
-    few: NDArray[np.float64]
-    widest_m: float
-    slices: NDArray[np.uint8]
-    slabs: NDArray[np.uint8]
-    slab_m: float
-    ball: NDArray[np.uint16]
-    ray: NDArray[np.uint16]
-    groups: NDArray[np.float64]
+    ray_clearance: NDArray[np.uint8]
+    unsafe_bits: NDArray[np.int32]
+    circles: NDArray[np.float64]
+    max_circle_radius_m: float
+    slice_distance: NDArray[np.uint8]
+    slab_distance: NDArray[np.uint8]
+    slab_rise_m: float
+    squared_distance: NDArray[np.uint16]
+    squared_ray_distance: NDArray[np.uint16]
+    balls: NDArray[np.float64]
     cover: NDArray[np.float64]
-    first: NDArray[np.int64]
+    group_start: NDArray[np.int64]
     lattice: Lattice
     floor_z_m: float
 
 
 def collision_arrays_of(field: DistanceField, body: ToolBody, margin_m: float) -> CollisionArrays:
-    """Field and body as the exact tests read them; ``margin_m`` is what a pose keeps from the unsafe set."""
-    slabs, slab_m = field.slabs(body.thickness_m / 2 + margin_m)
-    groups, cover, first = _grouped(body)
-    few = _few(body, field.arrays.lattice)
+    """Build the arrays of a body that keeps ``margin_m`` from the unsafe set."""
+    slab_distance, slab_rise_m = field.slab_distance(body.thickness_m / 2 + margin_m)
+    balls, cover, group_start = _grouped_cover(body)
+    circles = _circles(body, field.arrays.lattice)
     return CollisionArrays(
-        above=field.ray_clearance,
-        unsafe=field.unsafe_bits,
-        few=few,
-        widest_m=float(few[:, 2].max()),
-        slices=field.slices,
-        slabs=slabs,
-        slab_m=slab_m,
-        ball=field.arrays.ball,
-        ray=field.arrays.ray,
-        groups=groups,
-        cover=cover,
-        first=first,
-        lattice=field.arrays.lattice,
-        floor_z_m=field.arrays.floor_z_m,
+        field.ray_clearance,
+        field.unsafe_bits,
+        circles,
+        float(circles[:, 2].max()),
+        field.slice_distance,
+        slab_distance,
+        slab_rise_m,
+        field.arrays.squared_distance,
+        field.arrays.squared_ray_distance,
+        balls,
+        cover,
+        group_start,
+        field.arrays.lattice,
+        field.arrays.floor_z_m,
     )
 
 
-def _few(body: ToolBody, lattice: Lattice) -> NDArray[np.float64]:
-    x, y, _, radius_m = body.disc_balls.T
-    flat_m = np.sqrt(np.maximum(radius_m**2 - body.thickness_m**2 / 4, 0.0)) * (1 + 1e-9)
-    spread = np.argsort(GOLDEN * np.arange(len(x)) % 1)  # the first ones tell most: none is beside the one before
-    return np.ascontiguousarray(np.column_stack([x * lattice.per_m, y * lattice.per_m, flat_m])[spread])
+def _circles(body: ToolBody, lattice: Lattice) -> NDArray[np.float64]:
+    """Cross-sections of the bounding balls at the faces of the disc, in low-discrepancy order.
+
+    Neighboring circles overlap and give similar answers. In this order the first few cover the whole disc coarsely, so
+    that a collision is found early.
+    """
+    x, y, _, radius_m = body.bounding_balls.T
+    circle_m = np.sqrt(np.maximum(radius_m**2 - body.thickness_m**2 / 4, 0.0)) * (1 + 1e-9)
+    order = np.argsort(GOLDEN_RATIO * np.arange(len(x)) % 1)
+    return np.ascontiguousarray(np.column_stack([x * lattice.per_m, y * lattice.per_m, circle_m])[order])
 
 
-def _grouped(body: ToolBody) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    balls, (centers, radius_m) = body.disc_balls, body.disc_cover
-    away = np.linalg.norm(centers[:, None] - balls[:, :3], axis=2)
-    owner = (away - balls[:, 3]).argmin(axis=1)
-    outer = [away[owner == n, n].max(initial=0.0) + radius_m for n in range(len(balls))]
-    order = np.argsort(owner, kind="stable")  # within a group from the outside in, as in the cover
+def _grouped_cover(body: ToolBody) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Assign each ball of the cover to the bounding ball that it protrudes from least."""
+    balls, (centers, radius_m) = body.bounding_balls, body.disc_cover
+    distance = np.linalg.norm(centers[:, None] - balls[:, :3], axis=2)
+    owner = (distance - balls[:, 3]).argmin(axis=1)
+    outer = [distance[owner == n, n].max(initial=0.0) + radius_m for n in range(len(balls))]
+    order = np.argsort(owner, kind="stable")  # outermost first within a group, as in the cover
     cover = np.column_stack([centers, np.full(len(centers), radius_m)])[order]
-    first = np.searchsorted(owner[order], np.arange(len(balls) + 1))
-    return np.column_stack([balls, np.maximum(outer, balls[:, 3])]), cover, first
+    group_start = np.searchsorted(owner[order], np.arange(len(balls) + 1))
+    return np.column_stack([balls, np.maximum(outer, balls[:, 3])]), cover, group_start

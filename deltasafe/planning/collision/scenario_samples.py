@@ -14,19 +14,19 @@ __all__ = ["SamplePool", "sample_pool", "samples_are_free"]
 
 POOL_SIZE = 16384
 BLOCK = 16
-"""Samples looked up together; of the last block those beyond N_x do not count."""
+"""Samples per iteration of the vectorized loop; samples beyond N_x in the last block are masked."""
 
 
 class SamplePool(NamedTuple):
-    """Uniform points of the enlarged body, drawn once; a pose takes ``n_samples`` in a row from a place of its own.
+    """Uniform points of the enlarged body, drawn once. A pose reads ``n_samples`` consecutive points.
 
     Attributes:
-        points: (3, n) float32 in voxels, in the body's frame; whole blocks from each place on.
-        unsafe: (nx * ny * ceil(nz / 32),) int32, the unsafe voxels as bits.
+        points: (3, n) float32 in voxels, in the body's frame; padded to whole blocks.
+        unsafe: (nx * ny * ceil(nz / 32),) int32, one bit per voxel.
         n_samples: N_x.
-        redraw: another place for each pose, or the first for all.
+        redraw: start at a random point for each pose, or always at the first.
         floor: height of the table in voxels above the lattice's lower face.
-        seed: of the places.
+        seed: of the random starting points.
     """
 
     points: NDArray[np.float32]
@@ -40,7 +40,7 @@ class SamplePool(NamedTuple):
 def sample_pool(
     field: DistanceField, body: ToolBody, margin_m: float, n_samples: int, redraw: bool, seed: int
 ) -> SamplePool:
-    """Pool of points of R_0 + B(margin)."""
+    """Draw the pool of points of R_0 + B(margin)."""
     lattice = field.arrays.lattice
     padded = -(-n_samples // BLOCK) * BLOCK
     points = body.samples(margin_m, POOL_SIZE if redraw else padded, seed) * lattice.per_m
@@ -52,22 +52,24 @@ def sample_pool(
 
 
 @inlined
-def samples_are_free(lattice, pool, x, y, z, yaw, bits):  # type: ignore[no-untyped-def]
-    """Whether none of N_x points of the body at a pose is unsafe. ``bits`` alone decide which points are drawn.
+def samples_are_free(lattice, pool, pose, bits):  # type: ignore[no-untyped-def]
+    """Return whether none of N_x points of the body at a pose is unsafe; the random ``bits`` select the points.
 
-    The body is symmetric in both axes of its disc: two of the bits turn and mirror the pool for nothing. Vector units
-    look up a block at once: the inner loop has no branch, its length is fixed, and it counts in 32 bits by numpy's
-    functions (operators would widen to 64) and from 0 (indices that might be negative become look-ups themselves).
+    The body is symmetric in both axes of its disc. Two of the bits mirror the pool, which gives four pools for one.
+
+    The inner loop is written so that LLVM vectorizes it: no branches, a fixed length, 32-bit arithmetic by NumPy
+    functions (operators would widen to 64 bits), and unsigned indices (negative ones would need a check).
     """
     first = 0
+    x, y, z, yaw = pose
     cos, sin = math.cos(yaw), math.sin(yaw)
-    along_x, along_y = 1.0, 1.0
+    mirror_x, mirror_y = 1.0, 1.0
     if pool.redraw:
         first = np.int64(bits & np.uint64(POOL_SIZE - 1))
-        along_x = 1.0 if bits & np.uint64(1 << 40) else -1.0
-        along_y = 1.0 if bits & np.uint64(1 << 41) else -1.0
-    a, b = np.float32(cos * along_x), np.float32(sin * along_y)
-    c, d = np.float32(sin * along_x), np.float32(cos * along_y)
+        mirror_x = 1.0 if bits & np.uint64(1 << 40) else -1.0
+        mirror_y = 1.0 if bits & np.uint64(1 << 41) else -1.0
+    a, b = np.float32(cos * mirror_x), np.float32(sin * mirror_y)
+    c, d = np.float32(sin * mirror_x), np.float32(cos * mirror_y)
     u0 = np.float32((x - lattice.lower_x_m) * lattice.per_m)
     v0 = np.float32((y - lattice.lower_y_m) * lattice.per_m)
     w0 = np.float32((z - lattice.lower_z_m) * lattice.per_m)
@@ -76,7 +78,7 @@ def samples_are_free(lattice, pool, x, y, z, yaw, bits):  # type: ignore[no-unty
     rows, columns = np.int32(lattice.ny), np.int32((lattice.nz + 31) // 32)
     end, unsafe = first + pool.n_samples, pool.unsafe
     for begin in range(first, end, BLOCK):
-        stop, left, bad = begin + BLOCK, np.int32(end - begin), np.int32(0)
+        stop, remaining, hit = begin + BLOCK, np.int32(end - begin), np.int32(0)
         xs, ys, zs = pool.points[0, begin:stop], pool.points[1, begin:stop], pool.points[2, begin:stop]
         for n in range(BLOCK):
             u, v, w = u0 + a * xs[n] - b * ys[n], v0 + c * xs[n] + d * ys[n], w0 + zs[n]
@@ -86,7 +88,7 @@ def samples_are_free(lattice, pool, x, y, z, yaw, bits):  # type: ignore[no-unty
             column, k = np.add(np.multiply(np.int32(u), rows), np.int32(v)), np.int32(w)
             word = unsafe[np.uint32(np.add(np.multiply(column, columns), np.right_shift(k, np.int32(5))))]
             here = np.bitwise_or(np.right_shift(word, np.bitwise_and(k, np.int32(31))), below)
-            bad = np.bitwise_or(bad, np.bitwise_and(here, np.int32(np.int32(n) < left)))
-        if bad & 1:
+            hit = np.bitwise_or(hit, np.bitwise_and(here, np.int32(np.int32(n) < remaining)))
+        if hit & 1:
             return False
     return True

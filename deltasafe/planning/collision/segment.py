@@ -1,4 +1,4 @@
-"""The straight segment between two poses (x, y, z, yaw), as tests go along it."""
+"""Geometry of the straight segment between two poses, tuples (x, y, z, yaw)."""
 
 import math
 
@@ -9,7 +9,7 @@ __all__ = ["in_order", "motion_m", "pose_at"]
 
 @inlined
 def in_order(first, second):  # type: ignore[no-untyped-def]
-    """The two ends in an order that does not depend on which is named first: tests are symmetric."""
+    """Order both ends lexicographically, so that tests give the same answer in both directions."""
     for axis in range(4):
         if first[axis] != second[axis]:
             if first[axis] > second[axis]:
@@ -20,17 +20,17 @@ def in_order(first, second):  # type: ignore[no-untyped-def]
 
 @inlined
 def motion_m(rho_max_m, start, end):  # type: ignore[no-untyped-def]
-    """Bound of the way that any point of the body makes along a segment."""
+    """Upper bound of the path length of any point of the body along a segment."""
     dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     return math.sqrt(dx * dx + dy * dy + dz * dz) + rho_max_m * abs(end[3] - start[3])
 
 
 @inlined
-def pose_at(start, end, t):  # type: ignore[no-untyped-def]
-    """The pose at a share t of the segment."""
+def pose_at(start, end, fraction):  # type: ignore[no-untyped-def]
+    """Interpolate linearly between two poses."""
     return (
-        start[0] + t * (end[0] - start[0]),
-        start[1] + t * (end[1] - start[1]),
-        start[2] + t * (end[2] - start[2]),
-        start[3] + t * (end[3] - start[3]),
+        start[0] + fraction * (end[0] - start[0]),
+        start[1] + fraction * (end[1] - start[1]),
+        start[2] + fraction * (end[2] - start[2]),
+        start[3] + fraction * (end[3] - start[3]),
     )

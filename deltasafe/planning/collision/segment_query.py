@@ -1,4 +1,4 @@
-"""The one question that a search asks of its surroundings, answered in compiled code by the type of the answerer."""
+"""The interface between search and segment tests: ``segment_is_safe``, dispatched by type at compile time."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,10 +12,10 @@ __all__ = ["answers_segments", "as_pose", "ask_segment", "segment_is_safe"]
 
 
 def segment_is_safe(constraint: Any, start: Any, end: Any) -> bool:
-    """Whether every pose of the straight segment between two poses meets the constraint.
+    """Return whether every pose of the segment between two poses (tuples of 4) satisfies the constraint.
 
-    Callable from compiled code alone, where it is resolved by the type of ``constraint``, a ``NamedTuple``
-    class for which ``answers_segments`` has registered a test. Poses are tuples of four numbers.
+    Only compiled code may call it. numba resolves the call by the type of ``constraint``, a ``NamedTuple`` class whose
+    test was registered with ``answers_segments``.
     """
     raise TypeError("segment_is_safe is for compiled code; call ask_segment")
 
@@ -23,7 +23,7 @@ def segment_is_safe(constraint: Any, start: Any, end: Any) -> bool:
 def answers_segments(constraint_type: type) -> Callable[[Any], Any]:
     """Register a compiled ``test(constraint, start, end) -> bool`` for a ``NamedTuple`` class.
 
-    ``start`` and ``end`` are tuples (x, y, z, yaw), to be read by index.
+    ``start`` and ``end`` are tuples (x, y, z, yaw).
     """
 
     def register(test: Any) -> Any:
@@ -42,11 +42,11 @@ def answers_segments(constraint_type: type) -> Callable[[Any], Any]:
 
 @kernel
 def as_pose(pose):  # type: ignore[no-untyped-def]
-    """Array (4,) to tuple."""
+    """Convert an array (4,) to a tuple."""
     return pose[0], pose[1], pose[2], pose[3]
 
 
 @kernel
 def ask_segment(constraint, start, end):  # type: ignore[no-untyped-def]
-    """``segment_is_safe`` for callers in Python, who hold poses as arrays (4,) of float64."""
+    """Call ``segment_is_safe`` from Python, with poses as arrays (4,) of float64."""
     return segment_is_safe(constraint, as_pose(start), as_pose(end))

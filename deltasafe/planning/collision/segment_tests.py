@@ -1,4 +1,4 @@
-"""Is a segment of poses delta-safe? Three tests behind one interface (decision 16)."""
+"""Tests of whether a segment of poses is delta-safe: three methods behind one interface (decision 16)."""
 
 import dataclasses
 import math
@@ -15,15 +15,15 @@ from deltasafe.planning.collision.clearance import clearance_of_pose
 from deltasafe.planning.collision.clearance_tables import clearance_tables_of, table_clearance_m
 from deltasafe.planning.collision.collision_arrays import collision_arrays_of
 from deltasafe.planning.collision.continuous import BY_YAW_M, ContinuousTest
+from deltasafe.planning.collision.discrete import ExactTest, SampledTest, StepParams
 from deltasafe.planning.collision.distance_field import DistanceField
 from deltasafe.planning.collision.scenario_samples import sample_pool
-from deltasafe.planning.collision.segment_query import ask_segment
-from deltasafe.planning.collision.stepwise import ExactTest, SampledTest, StepParams
+from deltasafe.planning.collision.segment_query import as_pose, ask_segment
 
 __all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_segment_safe", "segment_test"]
 
 METHODS = ("sampled", "exact", "continuous")
-MOST_SAMPLES = 16384
+MAX_SAMPLES = 16384
 Array = NDArray[np.float64]
 
 
@@ -32,17 +32,18 @@ class CheckSettings:
     """How a segment is tested.
 
     Attributes:
-        method: ``sampled``, the paper's: N_x points of the enlarged body at poses at most ``delta_p_m`` apart;
-            ``exact``: the distance transform at the same poses; ``continuous``: it along the whole segment.
-        n_samples: N_x of ``sampled``.
-        redraw_samples: draw anew for each pose (the paper), or keep one fixed set.
-        delta_p_m: largest motion of any point of the body between two tested poses, for the first two methods;
-            half of it is part of their margin (decision 18).
-        resolution_m: ``continuous`` refuses when it cannot decide pieces with less motion than twice this.
-        use_clearance_tables: settle poses far from obstacles by a coarse grid first; changes nothing but the time.
-            ``continuous`` always does so.
-        by_yaw: settle most poses near obstacles by a second grid, which knows the yaw. It is made once for a field,
-            body and margin, in the time of a few plans: for many plans in one field.
+        method: test of a segment. ``sampled``: the paper's, N_x random points of the enlarged body at poses at most
+            ``delta_p_m`` apart. ``exact``: the distance field at the same poses. ``continuous``: the distance field
+            along the whole segment.
+        n_samples: N_x, points per pose of method ``sampled``.
+        redraw_samples: draw new points for each pose, as in the paper, or use one fixed set.
+        delta_p_m: largest motion of any point of the body between two tested poses, for ``sampled`` and ``exact``; half
+            of it is added to their margin (decision 18).
+        resolution_m: ``continuous`` refuses a segment if it cannot decide a piece with less motion than twice this.
+        use_clearance_tables: accept poses far from obstacles by a coarse lookup table; affects the time, not the
+            answer. ``continuous`` always uses the table.
+        by_yaw: accept most poses near obstacles by a second lookup table, per yaw bin. Building it takes as long as a
+            few plans, once per field, body and margin: worthwhile for many plans in one field.
     """
 
     method: str = "continuous"
@@ -56,15 +57,15 @@ class CheckSettings:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise SettingsError(f"method must be one of {METHODS}, got {self.method!r}")
-        if not (isinstance(self.n_samples, numbers.Integral) and 1 <= self.n_samples <= MOST_SAMPLES):
-            raise SettingsError(f"n_samples must be a whole number from 1 to {MOST_SAMPLES}, got {self.n_samples}")
+        if not (isinstance(self.n_samples, numbers.Integral) and 1 <= self.n_samples <= MAX_SAMPLES):
+            raise SettingsError(f"n_samples must be a whole number from 1 to {MAX_SAMPLES}, got {self.n_samples}")
         for name in ("delta_p_m", "resolution_m"):
             if not (math.isfinite(getattr(self, name)) and 1e-5 <= getattr(self, name) <= 0.1):
                 raise SettingsError(f"{name} must be between 1e-5 and 0.1 m, got {getattr(self, name)}")
 
 
 SegmentTest = SampledTest | ExactTest | ContinuousTest
-"""All that a test needs, as compiled code reads it. Made by ``segment_test``."""
+"""A segment test as compiled code reads it. Made by ``segment_test``."""
 
 
 def segment_test(
@@ -74,7 +75,7 @@ def segment_test(
     settings: CheckSettings | None = None,
     seed: int = 0,
 ) -> SegmentTest:
-    """Test of segments of a body that keeps ``margin_m`` (gamma at the smallest speed) from the unsafe set.
+    """Build the test of a body that keeps ``margin_m`` (gamma at the smallest speed) from the unsafe set.
 
     Raises:
         SettingsError: the margin is negative or beyond the reach of the field's distances.
@@ -84,21 +85,21 @@ def segment_test(
         raise SettingsError(f"margin_m must be between 0 and 0.02 m, got {margin_m}")
     is_continuous = settings.method == "continuous"
     between_m = 0.0 if is_continuous else settings.delta_p_m / 2
-    need_m = float(margin_m) + between_m
+    needed_m = float(margin_m) + between_m
     by_yaw_m = margin_m + (BY_YAW_M if is_continuous else between_m)
-    certificates = clearance_tables_of(field, body, by_yaw_m if settings.by_yaw else None)
-    steps = StepParams(body.rho_max_m, need_m, settings.delta_p_m, settings.use_clearance_tables)
+    tables = clearance_tables_of(field, body, by_yaw_m if settings.by_yaw else None)
+    steps = StepParams(body.rho_max_m, needed_m, settings.delta_p_m, settings.use_clearance_tables)
     if settings.method == "sampled":
-        pool = sample_pool(field, body, need_m, settings.n_samples, settings.redraw_samples, seed)
-        return SampledTest(certificates, pool, steps)
-    around = collision_arrays_of(field, body, need_m)
+        pool = sample_pool(field, body, needed_m, settings.n_samples, settings.redraw_samples, seed)
+        return SampledTest(tables, pool, steps)
+    arrays = collision_arrays_of(field, body, needed_m)
     if settings.method == "exact":
-        return ExactTest(certificates, around, body.numbers, steps)
-    return ContinuousTest(certificates, around, body.numbers, float(margin_m), settings.resolution_m)
+        return ExactTest(tables, arrays, body.params, steps)
+    return ContinuousTest(tables, arrays, body.params, float(margin_m), settings.resolution_m)
 
 
 def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
-    """Whether the segment between two poses (4,), yaw turning linearly, passes; symmetric in its ends.
+    """Return whether the segment between two poses (4,) passes; symmetric in its ends, yaw turns linearly.
 
     Raises:
         SettingsError: a pose is not finite, or farther than 1000 m or 1000 rad from 0.
@@ -108,22 +109,21 @@ def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
 
 
 def body_clearance_m(test: SegmentTest, poses: Array) -> Array:
-    """d_o (N,) of poses (N, 4): lower bound of the distance of the body to the unsafe set, table included.
+    """Lower bound d_o (N,) of the distance of the body to the unsafe set, table included, at poses (N, 4).
 
     Raises:
-        SettingsError: the test is a sampled one, which knows no distances; or a pose is not finite, or farther than
+        SettingsError: the test is a sampled one, which has no distances; or a pose is not finite, or farther than
             1000 m or 1000 rad from 0.
     """
     if isinstance(test, SampledTest):
-        raise SettingsError("method sampled knows no clearances; make the test with method exact or continuous")
-    return np.asarray(_clearances(test.certificates, test.around, test.body, as_rows(poses, 4, "poses")))
+        raise SettingsError("method sampled has no clearances; make the test with method exact or continuous")
+    return np.asarray(_clearances(test.tables, test.arrays, test.body, as_rows(poses, 4, "poses")))
 
 
 @compiled
-def _clearances(certificates, around, body, poses):  # type: ignore[no-untyped-def]
+def _clearances(tables, arrays, body, poses):  # type: ignore[no-untyped-def]
     clearance_m = np.empty(len(poses))
     for n in range(len(poses)):
-        x, y, z, yaw = poses[n, 0], poses[n, 1], poses[n, 2], poses[n, 3]
-        known_m = table_clearance_m(certificates, x, y, z)
-        clearance_m[n] = max(clearance_of_pose(around, body, x, y, z, yaw), known_m)
+        pose = as_pose(poses[n])
+        clearance_m[n] = max(clearance_of_pose(arrays, body, pose), table_clearance_m(tables, pose))
     return clearance_m

@@ -1,4 +1,4 @@
-"""A kd-tree that grows: leaves are buckets of 64 points, split at the mean of their widest side when full."""
+"""A kd-tree that grows point by point: leaves are buckets of 64 points, split at the mean of their widest side."""
 
 from typing import NamedTuple
 
@@ -6,47 +6,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import inlined, kernel
-from deltasafe.planning.search.simd_groups import GROUP, at_most, lowest_bit, measure, put_near
+from deltasafe.planning.search.simd_groups import GROUP, append_within, ctz, le_mask, squared_distances
 
 __all__ = ["BucketTree", "collect", "empty_buckets", "insert", "nearest_in"]
 
-DEPTH = 256
+STACK_SIZE = 256
 
 
 class BucketTree(NamedTuple):
-    """Nodes of a kd-tree in four dimensions, node 0 its root.
+    """Nodes of a kd-tree in four dimensions; node 0 is the root.
 
     Attributes:
-        lowest, highest: (4 n,) coordinates of all points of a node.
-        children: (n,) index of its first half, which the second follows; -1 in a leaf.
-        split: (2, n) axis and place of the cut.
-        filled: (n,) number of points of a leaf; ``filled[-1]`` counts the nodes.
-        points, number: (n, 4, GROUP) and (n, GROUP) the points of a leaf, the places without one infinitely far, and
-            their numbers.
-        squared: distances in a leaf; the same memory as integers, ``bits``.
-        stack, bound: nodes to be visited, and the smallest squared distance of their boxes.
-        twice: (8,) the point that is asked for, twice; gaps: (8,) by which it lies beside two boxes, squared.
+        lower, upper: (4 n,) bounding box of the points of a node.
+        children: (n,) index of the first child, which the second follows; -1 in a leaf.
+        split: (n, 2) axis and coordinate of the cut.
+        size: (n,) number of points of a leaf; ``size[-1]`` is the number of nodes.
+        points: (n, 4, GROUP) points of a leaf; unused places are infinitely far.
+        indices: (n, GROUP) of these points.
+        squared: (2 GROUP,) scratch: squared distances in a leaf.
+        stack, bound: scratch: nodes to visit, and the squared distances of their boxes.
+        query, gaps: (8,) scratch: the query point twice, and its squared distances to two boxes by axis.
     """
 
-    lowest: NDArray[np.float32]
-    highest: NDArray[np.float32]
+    lower: NDArray[np.float32]
+    upper: NDArray[np.float32]
     children: NDArray[np.int32]
     split: NDArray[np.float32]
-    filled: NDArray[np.int32]
+    size: NDArray[np.int32]
     points: NDArray[np.float32]
-    number: NDArray[np.int32]
+    indices: NDArray[np.int32]
     squared: NDArray[np.float32]
-    bits: NDArray[np.int32]
     stack: NDArray[np.int32]
     bound: NDArray[np.float32]
-    twice: NDArray[np.float32]
+    query: NDArray[np.float32]
     gaps: NDArray[np.float32]
 
 
 def empty_buckets(capacity: int) -> BucketTree:
-    """Room for ``capacity`` points."""
+    """Allocate a tree for ``capacity`` points."""
     # a split leaves at least half of a bucket on each side, except among equal coordinates
-    n, squared = 4 * (capacity // GROUP + 2), np.empty(2 * GROUP, np.float32)
+    n = 4 * (capacity // GROUP + 2)
     tree = BucketTree(
         np.full(4 * n, np.inf, np.float32),
         np.full(4 * n, -np.inf, np.float32),
@@ -55,91 +54,94 @@ def empty_buckets(capacity: int) -> BucketTree:
         np.zeros(n + 1, np.int32),
         np.full((n, 4, GROUP), np.inf, np.float32),
         np.empty((n, GROUP), np.int32),
-        squared,
-        squared.view(np.int32),
-        np.empty(DEPTH, np.int32),
-        np.empty(DEPTH, np.float32),
+        np.empty(2 * GROUP, np.float32),
+        np.empty(STACK_SIZE, np.int32),
+        np.empty(STACK_SIZE, np.float32),
         np.empty(8, np.float32),
         np.empty(8, np.float32),
     )
-    tree.filled[-1] = 1
+    tree.size[-1] = 1
     return tree
 
 
 @kernel
-def insert(tree, number, x):  # type: ignore[no-untyped-def]
-    """Add a point (a tuple of four float32) under a number."""
+def insert(tree, index, x):  # type: ignore[no-untyped-def]
+    """Add a point (a tuple of four float32) with its index."""
     node = 0
     while True:
-        for axis in range(4):
-            tree.lowest[4 * node + axis] = min(tree.lowest[4 * node + axis], x[axis])
-            tree.highest[4 * node + axis] = max(tree.highest[4 * node + axis], x[axis])
+        _extend_box(tree, node, x)
         if tree.children[node] < 0:
-            if tree.filled[node] < GROUP:
+            if tree.size[node] < GROUP:
                 break
-            _halve(tree, node)
+            _split_leaf(tree, node)
         upper = x[int(tree.split[node, 0])] > tree.split[node, 1]
         node = tree.children[node] + upper
-    place = tree.filled[node]
+    _append(tree, node, index, x)
+
+
+@inlined
+def _extend_box(tree, node, x):  # type: ignore[no-untyped-def]
     for axis in range(4):
-        tree.points[node, axis, place] = x[axis]
-    tree.number[node, place] = number
-    tree.filled[node] += 1
+        tree.lower[4 * node + axis] = min(tree.lower[4 * node + axis], x[axis])
+        tree.upper[4 * node + axis] = max(tree.upper[4 * node + axis], x[axis])
+
+
+@inlined
+def _append(tree, leaf, index, x):  # type: ignore[no-untyped-def]
+    place = tree.size[leaf]
+    for axis in range(4):
+        tree.points[leaf, axis, place] = x[axis]
+    tree.indices[leaf, place] = index
+    tree.size[leaf] += 1
 
 
 @kernel
-def _halve(tree, node):  # type: ignore[no-untyped-def]
+def _split_leaf(tree, node):  # type: ignore[no-untyped-def]
     axis, widest = 0, np.float32(-1.0)
     for other in range(4):
-        width = tree.highest[4 * node + other] - tree.lowest[4 * node + other]
+        width = tree.upper[4 * node + other] - tree.lower[4 * node + other]
         if width > widest:
             axis, widest = other, width
-    lowest, highest = tree.lowest[4 * node + axis], tree.highest[4 * node + axis]
+    lower, upper = tree.lower[4 * node + axis], tree.upper[4 * node + axis]
     cut = np.float32(0.0)
     for n in range(GROUP):
         cut += tree.points[node, axis, n] / np.float32(GROUP)
-    if not lowest <= cut < highest:
-        cut = lowest
+    if not lower <= cut < upper:
+        cut = lower
     tree.split[node, 0], tree.split[node, 1] = axis, cut
-    tree.children[node] = tree.filled[-1]
-    tree.filled[-1] += 2
-    for side in range(2):
-        child, place = tree.children[node] + side, 0
-        for n in range(GROUP):
-            if (tree.points[node, axis, n] > cut) == (side == 1):
-                for other in range(4):
-                    value = tree.points[node, other, n]
-                    tree.points[child, other, place] = value
-                    tree.lowest[4 * child + other] = min(tree.lowest[4 * child + other], value)
-                    tree.highest[4 * child + other] = max(tree.highest[4 * child + other], value)
-                tree.number[child, place] = tree.number[node, n]
-                place += 1
-        tree.filled[child] = place
+    tree.children[node] = tree.size[-1]
+    tree.size[-1] += 2
+    points = tree.points[node]
+    for n in range(GROUP):
+        child = tree.children[node] + (points[axis, n] > cut)
+        x = points[0, n], points[1, n], points[2, n], points[3, n]
+        _extend_box(tree, child, x)
+        _append(tree, child, tree.indices[node, n], x)
 
 
 @inlined
 def _begin(tree, x):  # type: ignore[no-untyped-def]
-    """The root on the stack, and the point where two boxes are compared with it at once."""
+    """Push the root, and store the query twice, so that one vectorized loop compares it with two boxes."""
     tree.stack[0], tree.bound[0] = 0, 0.0
     for axis in range(4):
-        tree.twice[axis] = tree.twice[4 + axis] = x[axis]
+        tree.query[axis] = tree.query[4 + axis] = x[axis]
 
 
 @inlined
-def _push_children(tree, first, top, within):  # type: ignore[no-untyped-def]
-    """Both halves that may hold points within a squared distance, the nearer one on top."""
-    lowest, highest = tree.lowest[4 * first : 4 * first + 8], tree.highest[4 * first : 4 * first + 8]
-    twice, gaps = tree.twice, tree.gaps
+def _push_children(tree, first, top, limit):  # type: ignore[no-untyped-def]
+    """Push the children within a squared distance, the nearer one on top; return the new top of the stack."""
+    lower, upper = tree.lower[4 * first : 4 * first + 8], tree.upper[4 * first : 4 * first + 8]
+    query, gaps = tree.query, tree.gaps
     for n in range(8):
-        gap = max(lowest[n] - twice[n], twice[n] - highest[n], np.float32(0.0))
+        gap = max(lower[n] - query[n], query[n] - upper[n], np.float32(0.0))
         gaps[n] = gap * gap
     near, far, nearer = gaps[0] + gaps[1] + gaps[2] + gaps[3], gaps[4] + gaps[5] + gaps[6] + gaps[7], first
     if near > far:
         near, far, nearer = far, near, first + 1
-    if far <= within:
+    if far <= limit:
         tree.stack[top], tree.bound[top] = 2 * first + 1 - nearer, far
         top += 1
-    if near <= within:
+    if near <= limit:
         tree.stack[top], tree.bound[top] = nearer, near
         top += 1
     return top
@@ -147,7 +149,7 @@ def _push_children(tree, first, top, within):  # type: ignore[no-untyped-def]
 
 @kernel
 def nearest_in(tree, x):  # type: ignore[no-untyped-def]
-    """Number of the nearest point, the lowest of equals, and its squared distance."""
+    """Return the index of the nearest point (the lowest index among equals) and its squared distance."""
     best, least = -1, np.float32(np.inf)
     _begin(tree, x)
     top = 1
@@ -159,30 +161,30 @@ def nearest_in(tree, x):  # type: ignore[no-untyped-def]
         if tree.children[node] >= 0:
             top = _push_children(tree, tree.children[node], top, least)
             continue
-        measure(tree.points[node], GROUP, x, tree.squared)
-        chosen = at_most(tree.squared, 0, least)
-        while chosen:
-            n = np.int64(lowest_bit(chosen))
-            squared, number = tree.squared[n], np.int64(tree.number[node, n])
-            if squared < least or (squared == least and number < best):
-                best, least = number, squared
-            chosen &= chosen - np.uint64(1)
+        squared_distances(tree.points[node], GROUP, x, tree.squared)
+        mask = le_mask(tree.squared, 0, least)
+        while mask:
+            n = np.int64(ctz(mask))
+            squared, index = tree.squared[n], np.int64(tree.indices[node, n])
+            if squared < least or (squared == least and index < best):
+                best, least = index, squared
+            mask &= mask - np.uint64(1)
     return best, least
 
 
 @kernel
-def collect(tree, x, within, found, gap):  # type: ignore[no-untyped-def]
-    """All points within a squared distance into ``found`` and ``gap``; returns how many."""
+def collect(tree, x, limit, indices, squared):  # type: ignore[no-untyped-def]
+    """Write the points within a squared distance to ``indices`` and ``squared``; return their number."""
     _begin(tree, x)
-    top, m = 1, 0
+    top, size = 1, 0
     while top > 0:
         top -= 1
         node = tree.stack[top]
         if tree.children[node] >= 0:
-            top = _push_children(tree, tree.children[node], top, within)
+            top = _push_children(tree, tree.children[node], top, limit)
             continue
-        measure(tree.points[node], GROUP, x, tree.squared)
-        before, m = m, put_near(tree.squared, 0, within, found, gap, m)
-        for n in range(before, m):
-            found[n] = tree.number[node, found[n]]
-    return m
+        squared_distances(tree.points[node], GROUP, x, tree.squared)
+        before, size = size, append_within(tree.squared, 0, limit, indices, squared, size)
+        for n in range(before, size):
+            indices[n] = tree.indices[node, indices[n]]
+    return size

@@ -1,4 +1,4 @@
-"""The iterations of RRT*, compiled, on the flat arrays of a search."""
+"""The iterations of RRT*, compiled, on flat arrays."""
 
 import math
 from typing import NamedTuple
@@ -6,21 +6,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compute.counter_rng import mixed, uniform
+from deltasafe.compute.counter_rng import splitmix64, uniform
 from deltasafe.compute.numba_cache import compiled, inlined, kernel
+from deltasafe.planning.collision.segment import pose_at
 from deltasafe.planning.collision.segment_query import segment_is_safe
-from deltasafe.planning.search.cost import least_cost, segment_cost
-from deltasafe.planning.search.neighbors import Neighbors, add_point, k_nearest, nearest, within
+from deltasafe.planning.search.cost import least_cost, segment_cost, squared_pose_distance
+from deltasafe.planning.search.neighbors import Neighbors, add_point, k_nearest, nearest, point_of, within
 from deltasafe.planning.search.sampling import draw_pose
-from deltasafe.planning.search.tree import TreeArrays, attach, move, pose_of, set_pose
+from deltasafe.planning.search.tree import FIRST_CHILD, NEXT_SIBLING, TreeArrays, attach, pose_of, reparent, set_pose
 
 __all__ = ["Search", "SearchParams", "begin", "copy_points", "grow", "keep_valid"]
 
 Array = NDArray[np.float64]
 
+N_POINTS, N_ITERATIONS, SOLVED_AT = range(3)
+"""Indices of ``Search.counters``; ``SOLVED_AT`` is the first iteration with a path, -1 if there is none."""
+
 
 class SearchParams(NamedTuple):
-    """The numbers of a search, as compiled code reads them."""
+    """Parameters of a search, as compiled code reads them."""
 
     n_goals: int
     steering_range_m: float
@@ -33,16 +37,16 @@ class SearchParams(NamedTuple):
 
 
 class Search(NamedTuple):
-    """The state of a search. Goals are nodes 0 to G - 1, the start is node G; node n is point n - G.
+    """State of a search. Goals are nodes 0 to G - 1, the start is node G; node n is point n - G of ``neighbors``.
 
-    ``counts`` holds the numbers of points and of iterations, and the first iteration with a path (-1: none).
+    ``edge_cost`` and ``total_cost`` are scratch arrays: of the edges from the near set to a new pose, and of the pose.
     """
 
     tree: TreeArrays
-    known: Neighbors
-    step: Array
-    total: Array
-    counts: NDArray[np.int64]
+    neighbors: Neighbors
+    edge_cost: Array
+    total_cost: Array
+    counters: NDArray[np.int64]
 
 
 @inlined
@@ -51,198 +55,193 @@ def _scaled(cost, pose):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def begin(search, constraint, cost, numbers):  # type: ignore[no-untyped-def]
-    """The start is point 0; goals that a straight segment reaches hang from it."""
-    tree, root = search.tree, numbers.n_goals
-    if search.counts[0] == 0:
-        add_point(search.known, 0, _scaled(cost, pose_of(tree, root)))
-        search.known.reach[0] = numbers.steering_range_m * numbers.steering_range_m
-        search.counts[0] = 1
+def begin(search, problem, params):  # type: ignore[no-untyped-def]
+    """Add the start as point 0, and connect the goals that a straight segment reaches."""
+    tree, counters, root = search.tree, search.counters, params.n_goals
+    if counters[N_POINTS] == 0:
+        add_point(search.neighbors, 0, _scaled(problem.cost, pose_of(tree, root)))
+        search.neighbors.squared_near_radius[0] = params.steering_range_m * params.steering_range_m
+        counters[N_POINTS] = 1
     for goal in range(root):
-        if tree.parent[goal] < 0 and segment_is_safe(constraint, pose_of(tree, root), pose_of(tree, goal)):
-            attach(tree, goal, root, segment_cost(cost, pose_of(tree, root), pose_of(tree, goal)))
-            if search.counts[2] < 0:
-                search.counts[2] = search.counts[1]
+        start_pose, goal_pose = pose_of(tree, root), pose_of(tree, goal)
+        if tree.parent[goal] < 0 and segment_is_safe(problem.constraint, start_pose, goal_pose):
+            attach(tree, goal, root, segment_cost(problem.cost, start_pose, goal_pose))
+            if counters[SOLVED_AT] < 0:
+                counters[SOLVED_AT] = counters[N_ITERATIONS]
 
 
 @kernel
-def grow(search, constraint, cost, numbers, lower, upper, upto):  # type: ignore[no-untyped-def]
-    """Iterations up to number ``upto``."""
-    tree, known, counts, goals = search.tree, search.known, search.counts, numbers.n_goals
-    for iteration in range(counts[1], upto):
-        counts[1] = iteration + 1
-        key = mixed(np.uint64(numbers.seed), iteration + 1)
-        target, sample = _sample(tree, cost, numbers, lower, upper, key)
-        place, squared = nearest(known, counts[0], _scaled(cost, sample))
-        origin = pose_of(tree, place + goals)
+def grow(search, problem, params, n_iterations):  # type: ignore[no-untyped-def]
+    """Run iterations until their total number is ``n_iterations``."""
+    tree, neighbors, counters = search.tree, search.neighbors, search.counters
+    constraint, cost, n_goals = problem.constraint, problem.cost, params.n_goals
+    for iteration in range(counters[N_ITERATIONS], n_iterations):
+        counters[N_ITERATIONS] = iteration + 1
+        key = splitmix64(np.uint64(params.seed), iteration + 1)
+        target, pose = _draw_target(tree, problem, params, key)
+        nearest_point, squared = nearest(neighbors, counters[N_POINTS], _scaled(cost, pose))
         distance = math.sqrt(squared)
         if distance == 0.0:
             continue
-        new, whole = sample, distance <= numbers.steering_range_m
-        if not whole:
-            reach = numbers.steering_range_m / distance
-            new = (
-                origin[0] + reach * (sample[0] - origin[0]),
-                origin[1] + reach * (sample[1] - origin[1]),
-                origin[2] + reach * (sample[2] - origin[2]),
-                origin[3] + reach * (sample[3] - origin[3]),
-            )
-        if numbers.informed and not _may_improve(tree, cost, goals, lower[2], new):
+        is_reached = distance <= params.steering_range_m
+        if not is_reached:
+            pose = pose_at(pose_of(tree, nearest_point + n_goals), pose, params.steering_range_m / distance)
+        if params.informed and not _may_improve(tree, problem, n_goals, pose):
             continue
-        if not segment_is_safe(constraint, new, new):
+        if not segment_is_safe(constraint, pose, pose):
             continue
-        m = _near(search, cost, numbers, new, place, whole)
-        best = _cheapest_parent(search, constraint, cost, new, m)
-        if best < 0:
+        n_near = _find_near_set(search, cost, params, pose, nearest_point, is_reached)
+        parent = _cheapest_parent(search, problem, pose, n_near)
+        if parent < 0:
             continue
-        if target >= 0 and whole:
+        if target >= 0 and is_reached:
             if tree.parent[target] < 0:
-                attach(tree, target, best, search.total[0])
-                if counts[2] < 0:
-                    counts[2] = iteration
+                attach(tree, target, parent, search.total_cost[0])
+                if counters[SOLVED_AT] < 0:
+                    counters[SOLVED_AT] = iteration
             continue
-        this = counts[0] + goals
-        set_pose(tree, this, new)
-        add_point(known, counts[0], _scaled(cost, new))
-        counts[0] += 1
-        attach(tree, this, best, search.total[0])
-        _rewire(search, constraint, this, m)
-        for goal in range(goals):
-            _reach_goal(search, constraint, cost, numbers, goal, this, iteration)
+        node = counters[N_POINTS] + n_goals
+        set_pose(tree, node, pose)
+        add_point(neighbors, counters[N_POINTS], _scaled(cost, pose))
+        counters[N_POINTS] += 1
+        attach(tree, node, parent, search.total_cost[0])
+        _rewire(search, constraint, node, n_near)
+        for goal in range(n_goals):
+            _connect_goal(search, problem, params, goal, node, iteration)
 
 
 @inlined
-def _sample(tree, cost, numbers, lower, upper, key):  # type: ignore[no-untyped-def]
-    """The goal aimed at, or -1, and a pose."""
-    goals = numbers.n_goals
-    goal = min(int(goals * uniform(key, 5)), goals - 1)
-    if tree.parent[goal] < 0 and uniform(key, 6) < numbers.goal_bias:
+def _draw_target(tree, problem, params, key):  # type: ignore[no-untyped-def]
+    """Draw a sample: a goal that is not connected and its pose, or -1 and a random pose."""
+    n_goals = params.n_goals
+    goal = min(int(n_goals * uniform(key, 5)), n_goals - 1)
+    if tree.parent[goal] < 0 and uniform(key, 6) < params.goal_bias:
         return goal, pose_of(tree, goal)
-    best = tree.cost[goal] if numbers.informed else np.inf
-    return -1, draw_pose(cost, pose_of(tree, goals), pose_of(tree, goal), lower, upper, best, key)
+    best_cost = tree.cost[goal] if params.informed else np.inf
+    return -1, draw_pose(problem, pose_of(tree, n_goals), pose_of(tree, goal), best_cost, key)
 
 
 @inlined
-def _may_improve(tree, cost, goals, lowest_z, pose):  # type: ignore[no-untyped-def]
-    from_start = least_cost(cost, lowest_z, pose_of(tree, goals), pose)
-    for goal in range(goals):
+def _may_improve(tree, problem, n_goals, pose):  # type: ignore[no-untyped-def]
+    """Return whether a path through a pose could cost less than the best known path to some goal."""
+    cost, lowest_z = problem.cost, problem.lower[2]
+    from_start = least_cost(cost, lowest_z, pose_of(tree, n_goals), pose)
+    for goal in range(n_goals):
         if from_start + least_cost(cost, lowest_z, pose, pose_of(tree, goal)) < tree.cost[goal]:
             return True
     return False
 
 
 @inlined
-def _near(search, cost, numbers, new, place, measured):  # type: ignore[no-untyped-def]
-    """The near set of a pose as nodes in ``known.found``; returns its size. ``place`` is the nearest point."""
-    known, count, goals = search.known, search.counts[0], numbers.n_goals
-    if numbers.by_radius:
-        share = math.log(count + 1.0) / (count + 1.0)
-        radius = min(numbers.near_factor * numbers.radius_m * share**0.25, numbers.steering_range_m)
-        m = within(known, count, _scaled(cost, new), radius * radius * (1 + 1e-6))
-        if m == 0:
-            known.found[0], m = place, 1
+def _find_near_set(search, cost, params, pose, nearest_point, is_scanned):  # type: ignore[no-untyped-def]
+    """Write the near set of a pose to ``neighbors.found``, as nodes; return its size."""
+    neighbors, count = search.neighbors, search.counters[N_POINTS]
+    if params.by_radius:
+        ratio = math.log(count + 1.0) / (count + 1.0)
+        radius = min(params.near_factor * params.radius_m * ratio**0.25, params.steering_range_m)
+        size = within(neighbors, count, _scaled(cost, pose), radius * radius * (1 + 1e-6))
+        if size == 0:
+            neighbors.found[0], size = nearest_point, 1
     else:
-        k = max(1, int(numbers.near_factor * math.e * 1.25 * math.log(count + 1.0)))
+        k = max(1, int(params.near_factor * math.e * 1.25 * math.log(count + 1.0)))
         scale = math.sqrt(k / count)  # the squared radius of k of n points in four dimensions
-        guess = 1.1 * known.reach[place] * scale
-        m, squared = k_nearest(known, count, _scaled(cost, new), k, max(guess, 1e-6), measured)
-        known.reach[count] = squared / scale
-    for n in range(m):
-        known.found[n] += goals
-    return m
+        guess = max(1.1 * neighbors.squared_near_radius[nearest_point] * scale, 1e-6)
+        size, squared = k_nearest(neighbors, count, _scaled(cost, pose), k, guess, is_scanned)
+        neighbors.squared_near_radius[count] = squared / scale
+    for n in range(size):
+        neighbors.found[n] += params.n_goals
+    return size
 
 
 @inlined
-def _cheapest_parent(search, constraint, cost, new, m):  # type: ignore[no-untyped-def]
-    """The cheapest node of the near set from which the segment is safe, or -1; ``total[0]`` becomes its cost.
+def _cheapest_parent(search, problem, pose, n_near):  # type: ignore[no-untyped-def]
+    """Return the cheapest near node from which the segment is safe, or -1; ``total_cost[0]`` becomes its cost.
 
-    Lazily, in order of cost. Nodes whose segment was refused leave the near set (their entry becomes -1).
+    Segments are tested lazily, in order of cost. Nodes whose segment was refused leave the near set (entry -1).
     """
-    tree, found, step, total = search.tree, search.known.found, search.step, search.total
-    for n in range(m):
-        step[n] = segment_cost(cost, pose_of(tree, found[n]), new)
-        total[n] = tree.cost[found[n]] + step[n]
-    for _ in range(m):
+    tree, found, edge_cost, total_cost = search.tree, search.neighbors.found, search.edge_cost, search.total_cost
+    for n in range(n_near):
+        edge_cost[n] = segment_cost(problem.cost, pose_of(tree, found[n]), pose)
+        total_cost[n] = tree.cost[found[n]] + edge_cost[n]
+    for _ in range(n_near):
         best = 0
-        for n in range(1, m):
-            if total[n] < total[best]:
+        for n in range(1, n_near):
+            if total_cost[n] < total_cost[best]:
                 best = n
-        if total[best] == np.inf:
+        if total_cost[best] == np.inf:
             return -1
         node = found[best]
-        if segment_is_safe(constraint, pose_of(tree, node), new):
-            total[0] = total[best]
-            found[best] = -1
-            return node
-        total[best] = np.inf
         found[best] = -1
+        if segment_is_safe(problem.constraint, pose_of(tree, node), pose):
+            total_cost[0] = total_cost[best]
+            return node
+        total_cost[best] = np.inf
     return -1
 
 
 @inlined
-def _rewire(search, constraint, this, m):  # type: ignore[no-untyped-def]
-    """Near nodes that are cheaper through the new one are moved there; segments cost the same both ways."""
-    tree, found, step = search.tree, search.known.found, search.step
-    new, so_far = pose_of(tree, this), search.tree.cost[this]
-    for n in range(m):
-        node = found[n]
-        if node >= 0 and so_far + step[n] < tree.cost[node] and segment_is_safe(constraint, new, pose_of(tree, node)):
-            move(tree, node, this, so_far + step[n])
+def _rewire(search, constraint, new, n_near):  # type: ignore[no-untyped-def]
+    """Make the new node the parent of near nodes that become cheaper; segments cost the same both ways."""
+    tree, found, edge_cost = search.tree, search.neighbors.found, search.edge_cost
+    pose, new_cost = pose_of(tree, new), tree.cost[new]
+    for n in range(n_near):
+        node, total = found[n], new_cost + edge_cost[n]
+        if node >= 0 and total < tree.cost[node] and segment_is_safe(constraint, pose, pose_of(tree, node)):
+            reparent(tree, node, new, total)
 
 
 @inlined
-def _reach_goal(search, constraint, cost, numbers, goal, this, iteration):  # type: ignore[no-untyped-def]
+def _connect_goal(search, problem, params, goal, node, iteration):  # type: ignore[no-untyped-def]
+    """Make the new node the parent of a goal in steering range that becomes cheaper."""
     tree = search.tree
-    new, there = pose_of(tree, this), pose_of(tree, goal)
-    dx, dy, dz, turn = new[0] - there[0], new[1] - there[1], new[2] - there[2], new[3] - there[3]
-    squared = dx * dx + dy * dy + dz * dz + cost.rotation_weight_m2 * turn * turn
-    if squared > numbers.steering_range_m * numbers.steering_range_m:
+    pose, goal_pose = pose_of(tree, node), pose_of(tree, goal)
+    squared = squared_pose_distance(problem.cost.rotation_weight_m2, pose, goal_pose)
+    if squared > params.steering_range_m * params.steering_range_m:
         return
-    through = tree.cost[this] + segment_cost(cost, new, there)
-    if through < tree.cost[goal] and segment_is_safe(constraint, new, there):
+    total = tree.cost[node] + segment_cost(problem.cost, pose, goal_pose)
+    if total < tree.cost[goal] and segment_is_safe(problem.constraint, pose, goal_pose):
         if tree.parent[goal] >= 0:
-            move(tree, goal, this, through)
+            reparent(tree, goal, node, total)
         else:
-            attach(tree, goal, this, through)
-            if search.counts[2] < 0:
-                search.counts[2] = iteration
+            attach(tree, goal, node, total)
+            if search.counters[SOLVED_AT] < 0:
+                search.counters[SOLVED_AT] = iteration
 
 
 @kernel
-def copy_points(search, known, count):  # type: ignore[no-untyped-def]
-    """Points of another search, in their order."""
+def copy_points(target, source, count):  # type: ignore[no-untyped-def]
+    """Copy the first ``count`` points of ``Neighbors`` to empty ones."""
     for n in range(count):
-        add_point(search.known, n, (known.points[0, n], known.points[1, n], known.points[2, n], known.points[3, n]))
-        search.known.reach[n] = known.reach[n]
+        add_point(target, n, point_of(source, n))
+        target.squared_near_radius[n] = source.squared_near_radius[n]
 
 
 @compiled
-def keep_valid(old, new, constraint, numbers):  # type: ignore[no-untyped-def]
-    """Copy what hangs from the start by edges that pass, parents before children; the counts go on."""
-    goals, kept = numbers.n_goals, 0
-    place, queue = np.full(old.counts[0] + goals, -1), np.empty(old.counts[0] + goals, np.int64)
-    queue[0], head, tail = goals, 0, 1
+def keep_valid(old, new, constraint, n_goals):  # type: ignore[no-untyped-def]
+    """Copy the part of a tree that hangs from the start by safe edges, parents before children, and the counters."""
+    kept, n_nodes = 0, old.counters[N_POINTS] + n_goals
+    new_index, queue = np.full(n_nodes, -1), np.empty(n_nodes, np.int64)
+    queue[0], head, tail = n_goals, 0, 1
     while head < tail:
         node = queue[head]
         head += 1
-        to = node
-        if node >= goals:
-            n, to = node - goals, kept + goals
-            set_pose(new.tree, to, pose_of(old.tree, node))
-            x = old.known.points[0, n], old.known.points[1, n], old.known.points[2, n], old.known.points[3, n]
-            add_point(new.known, kept, x)
-            new.known.reach[kept] = old.known.reach[n]
+        copy = node
+        if node >= n_goals:
+            point, copy = node - n_goals, kept + n_goals
+            set_pose(new.tree, copy, pose_of(old.tree, node))
+            add_point(new.neighbors, kept, point_of(old.neighbors, point))
+            new.neighbors.squared_near_radius[kept] = old.neighbors.squared_near_radius[point]
             kept += 1
-        place[node] = to
-        if node != goals:
-            attach(new.tree, to, place[old.tree.parent[node]], old.tree.cost[node])
-        child = old.tree.links[node, 0]
+        new_index[node] = copy
+        if node != n_goals:
+            attach(new.tree, copy, new_index[old.tree.parent[node]], old.tree.cost[node])
+        child = old.tree.links[node, FIRST_CHILD]
         while child >= 0:
             if segment_is_safe(constraint, pose_of(old.tree, node), pose_of(old.tree, child)):
                 queue[tail] = child
                 tail += 1
-            child = old.tree.links[child, 1]
-    new.counts[0], new.counts[1] = kept, old.counts[1]
-    for goal in range(goals):
+            child = old.tree.links[child, NEXT_SIBLING]
+    new.counters[N_POINTS], new.counters[N_ITERATIONS] = kept, old.counters[N_ITERATIONS]
+    for goal in range(n_goals):
         if new.tree.parent[goal] >= 0:
-            new.counts[2] = old.counts[2]
+            new.counters[SOLVED_AT] = old.counters[SOLVED_AT]

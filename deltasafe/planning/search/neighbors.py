@@ -1,4 +1,4 @@
-"""The k nearest nodes: one pass over all and a few counts that close in on a radius; a tree of buckets later."""
+"""Nearest nodes: a scan of all points while they are few, a kd-tree beyond; both find the same neighbors."""
 
 import math
 from typing import NamedTuple
@@ -8,34 +8,38 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import inlined
 from deltasafe.planning.search.bucket_tree import BucketTree, collect, empty_buckets, insert, nearest_in
-from deltasafe.planning.search.simd_groups import GROUP, at_most, how_many, lowest_bit, measure, put_near
+from deltasafe.planning.search.simd_groups import GROUP, append_within, ctz, le_mask, popcount, squared_distances
 
-__all__ = ["MANY", "Neighbors", "add_point", "empty_neighbors", "k_nearest", "nearest", "within"]
+__all__ = ["BUCKET_THRESHOLD", "Neighbors", "add_point", "empty_neighbors", "k_nearest", "nearest", "within"]
 
-MANY = 4500
-"""Beyond this many nodes the bucket tree is faster than looking at all."""
+BUCKET_THRESHOLD = 4500
+"""Number of points beyond which the bucket tree is faster than a scan."""
 
 
 class Neighbors(NamedTuple):
-    """Points in scaled coordinates (4, n), and what a query needs room for.
+    """Points in scaled coordinates, and scratch arrays of the queries.
 
-    Places without a point are infinitely far, so that whole groups of 64 are looked at. ``squared`` distances and the
-    same memory as integers, ``bits``; the candidates ``found`` with their ``gap``. ``reach``: squared radius of the
-    near set that a point had when it came, for the number of points there are now: a guess for its neighbors.
+    Attributes:
+        points: (4, n); unused places are infinitely far, so that scans cover whole groups.
+        squared: squared distances of the last scan; ``squared_bits`` is the same memory as integers.
+        squared_near_radius: (n,) squared radius of the near set at insertion, rescaled to the current tree size. It is
+            the first guess for the near set of a neighbor.
+        found, found_squared: indices and squared distances of the last query.
+        buckets: the kd-tree, used beyond ``bucket_threshold`` points.
     """
 
     points: NDArray[np.float32]
     squared: NDArray[np.float32]
-    bits: NDArray[np.int32]
-    reach: NDArray[np.float32]
+    squared_bits: NDArray[np.int32]
+    squared_near_radius: NDArray[np.float32]
     found: NDArray[np.int32]
-    gap: NDArray[np.float32]
+    found_squared: NDArray[np.float32]
     buckets: BucketTree
-    many: int
+    bucket_threshold: int
 
 
-def empty_neighbors(capacity: int, many: int = MANY) -> Neighbors:
-    """Room for ``capacity`` points; beyond ``many`` the bucket tree is used. Both give the same neighbors."""
+def empty_neighbors(capacity: int, bucket_threshold: int = BUCKET_THRESHOLD) -> Neighbors:
+    """Allocate for ``capacity`` points."""
     groups = -(-capacity // GROUP)
     squared = np.empty(GROUP * (groups + 1), np.float32)
     return Neighbors(
@@ -45,105 +49,122 @@ def empty_neighbors(capacity: int, many: int = MANY) -> Neighbors:
         np.empty(capacity, np.float32),
         np.empty(capacity + 1 + GROUP, np.int32),
         np.empty(capacity + 1 + GROUP, np.float32),
-        empty_buckets(capacity if capacity > many else 1),
-        many,
+        empty_buckets(capacity if capacity > bucket_threshold else 1),
+        bucket_threshold,
     )
 
 
 @inlined
-def add_point(known, count, point):  # type: ignore[no-untyped-def]
-    """Point number ``count``, a tuple of four."""
+def _float32(x):  # type: ignore[no-untyped-def]
+    return np.float32(x[0]), np.float32(x[1]), np.float32(x[2]), np.float32(x[3])
+
+
+@inlined
+def point_of(neighbors, index):  # type: ignore[no-untyped-def]
+    """Return a point as a tuple."""
+    points = neighbors.points
+    return points[0, index], points[1, index], points[2, index], points[3, index]
+
+
+@inlined
+def add_point(neighbors, count, point):  # type: ignore[no-untyped-def]
+    """Add a point, a tuple of four, with index ``count``."""
     for axis in range(4):
-        known.points[axis, count] = point[axis]
-    if count == known.many:  # from now on in buckets, those before included
+        neighbors.points[axis, count] = point[axis]
+    if count == neighbors.bucket_threshold:
         for n in range(count):
-            insert(known.buckets, n, (known.points[0, n], known.points[1, n], known.points[2, n], known.points[3, n]))
-    if count >= known.many:
-        x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
-        insert(known.buckets, count, x)
+            insert(neighbors.buckets, n, point_of(neighbors, n))
+    if count >= neighbors.bucket_threshold:
+        insert(neighbors.buckets, count, _float32(point))
 
 
 @inlined
-def nearest(known, count, point):  # type: ignore[no-untyped-def]
-    """Index of the nearest of the first ``count`` points, and the squared distance."""
-    x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
-    if count > known.many:
-        return nearest_in(known.buckets, x)
-    measure(known.points, _in_groups(count), x, known.squared)
-    # the bits of floats that are not negative are ordered as they are, and vector units find the least integer
-    bits, least, place = known.bits, np.int32(0x7F800000), 0
-    for n in range(_in_groups(count)):
+def nearest(neighbors, count, point):  # type: ignore[no-untyped-def]
+    """Return the index of the nearest of the first ``count`` points, and the squared distance."""
+    x = _float32(point)
+    if count > neighbors.bucket_threshold:
+        return nearest_in(neighbors.buckets, x)
+    squared_distances(neighbors.points, _whole_groups(count), x, neighbors.squared)
+    # non-negative floats are ordered like their bits, and LLVM vectorizes the minimum of integers
+    bits, least, place = neighbors.squared_bits, np.int32(0x7F800000), 0
+    for n in range(_whole_groups(count)):
         least = min(least, bits[n])
-    chosen = at_most(bits, place, least)
-    while not chosen:
+    mask = le_mask(bits, place, least)
+    while not mask:
         place += GROUP
-        chosen = at_most(bits, place, least)
-    place += np.int64(lowest_bit(chosen))
-    return place, known.squared[place]
+        mask = le_mask(bits, place, least)
+    place += np.int64(ctz(mask))
+    return place, neighbors.squared[place]
 
 
 @inlined
-def k_nearest(known, count, point, k, guess, measured):  # type: ignore[no-untyped-def]
-    """At least the k nearest of the first ``count`` points, in ``known.found``; their number and the squared radius.
+def k_nearest(neighbors, count, point, k, guess, is_scanned):  # type: ignore[no-untyped-def]
+    """Find at least the k nearest of the first ``count`` points, and at most k / 8 more, except for ties.
 
-    All points within a radius, which is looked for until it holds no more than an eighth too many. ``guess`` is a
-    squared radius to begin with. ``measured`` says that ``nearest`` was asked for the same point before.
+    The radius is enlarged until it holds k points, then narrowed by bisection on its square.
+
+    Args:
+        guess: squared radius to begin with.
+        is_scanned: ``nearest`` was called for the same point before, so that ``squared`` is up to date.
+
+    Returns:
+        The number of points in ``found``, and the squared radius.
     """
     if count <= k:
         for n in range(count):
-            known.found[n] = n
+            neighbors.found[n] = n
         return count, guess
-    x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
-    if count <= known.many and not measured:
-        measure(known.points, _in_groups(count), x, known.squared)
-    wide = np.float32(guess)
+    x = _float32(point)
+    if count <= neighbors.bucket_threshold and not is_scanned:
+        squared_distances(neighbors.points, _whole_groups(count), x, neighbors.squared)
+    limit = np.float32(guess)
     while True:
-        m = _candidates(known, count, x, wide)
-        if m >= k:
+        size = _collect(neighbors, count, x, limit)
+        if size >= k:
             break
-        wide *= np.float32(min(max(1.2 * math.sqrt(k / max(m, 1)), 1.1), 4.0))
-    known.gap[m : m + GROUP] = np.inf
-    low, high, inside, most = np.float32(0.0), wide, m, k + k // 8
+        limit *= np.float32(min(max(1.2 * math.sqrt(k / max(size, 1)), 1.1), 4.0))
+    found, found_squared = neighbors.found, neighbors.found_squared
+    found_squared[size : size + GROUP] = np.inf
+    low, high, inside, most = np.float32(0.0), limit, size, k + k // 8
     while inside > most:
         middle = np.float32(0.5) * (low + high)
         if low == 0.0:  # in four dimensions the count grows with the fourth power of the radius
             middle = high * np.float32(math.sqrt(0.5 * (k + most) / inside))
         if not low < middle < high:
             break
-        some = 0
-        for begin in range(0, m, GROUP):
-            some += np.int64(how_many(at_most(known.gap, begin, middle)))
-        if some >= k:
-            high, inside = middle, some
+        n_within = 0
+        for begin in range(0, size, GROUP):
+            n_within += np.int64(popcount(le_mask(found_squared, begin, middle)))
+        if n_within >= k:
+            high, inside = middle, n_within
         else:
             low = middle
     kept = 0
-    for n in range(m):
-        known.found[kept] = known.found[n]
-        kept += known.gap[n] <= high
+    for n in range(size):
+        found[kept] = found[n]
+        kept += found_squared[n] <= high
     return kept, high
 
 
 @inlined
-def within(known, count, point, squared_radius):  # type: ignore[no-untyped-def]
-    """The points within a radius, in ``known.found``; returns how many."""
-    x = np.float32(point[0]), np.float32(point[1]), np.float32(point[2]), np.float32(point[3])
-    if count <= known.many:
-        measure(known.points, _in_groups(count), x, known.squared)
-    return _candidates(known, count, x, np.float32(squared_radius))
+def within(neighbors, count, point, squared_radius):  # type: ignore[no-untyped-def]
+    """Find the points within a radius; return their number in ``found``."""
+    x = _float32(point)
+    if count <= neighbors.bucket_threshold:
+        squared_distances(neighbors.points, _whole_groups(count), x, neighbors.squared)
+    return _collect(neighbors, count, x, np.float32(squared_radius))
 
 
 @inlined
-def _candidates(known, count, x, wide):  # type: ignore[no-untyped-def]
-    if count > known.many:
-        return collect(known.buckets, x, wide, known.found, known.gap)
-    m = 0
+def _collect(neighbors, count, x, limit):  # type: ignore[no-untyped-def]
+    if count > neighbors.bucket_threshold:
+        return collect(neighbors.buckets, x, limit, neighbors.found, neighbors.found_squared)
+    size = 0
     for begin in range(0, count, GROUP):
-        m = put_near(known.squared, begin, wide, known.found, known.gap, m)
-    return m
+        size = append_within(neighbors.squared, begin, limit, neighbors.found, neighbors.found_squared, size)
+    return size
 
 
 @inlined
-def _in_groups(count):  # type: ignore[no-untyped-def]
-    """The next multiple of a group."""
+def _whole_groups(count):  # type: ignore[no-untyped-def]
     return (count + GROUP - 1) // GROUP * GROUP

@@ -1,4 +1,4 @@
-"""Safe velocity scheduling (section IV-C): as fast as clearance, tracking bound and accelerations allow."""
+"""Safe velocity scheduling (section IV-C): as fast as clearance, tracking bound and acceleration limits allow."""
 
 import dataclasses
 import itertools
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from deltasafe.errors import PlanningError, SettingsError
-from deltasafe.geometry import LONGEST_S, PosePath, Trajectory
+from deltasafe.geometry import MAX_DURATION_S, PosePath, Trajectory
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField
 from deltasafe.planning.collision.segment_tests import (
@@ -27,22 +27,27 @@ __all__ = ["SpeedProfile", "VelocitySettings", "schedule", "schedule_at_top_spee
 
 Array = NDArray[np.float64]
 CHORD_TOLERANCE_M = 0.00005
-LEAST_SPACING_M = 1e-5
-MOST_RATE_HZ = 1e5
+MIN_SPACING_M = 1e-5
+MAX_RATE_HZ = 1e5
+NORMAL_FRACTION = 0.8
+"""Largest fraction of the acceleration that may be normal to the path; at least 0.6 of it is left for the tangent."""
+
+ROUNDING = 1e-3
+"""Relative reserve for the variation of slopes and curvatures inside a cell."""
 
 
 @dataclasses.dataclass(frozen=True)
 class VelocitySettings:
-    """Limits of the motion along a path. Speeds are those of the fastest point of the tool: |dx| + rho_max |dphi|.
+    """Limits of the motion along a path. Speeds are those of the fastest point of the tool, |dx| + rho_max |dphi|.
 
     Attributes:
-        v_min_mps: a path that does not admit this speed everywhere is refused.
-        v_max_mps: largest speed of the robot.
-        acceleration_mps2: bound of the acceleration, tangential and normal together.
-        yaw_rate_radps: bound of the yaw rate.
-        blend_reach_m: corners are blended from at most this far before to this far after them.
+        v_min_mps: smallest speed; a path that does not allow it everywhere is refused.
+        v_max_mps: largest speed.
+        acceleration_mps2: largest acceleration, tangential and normal parts together.
+        yaw_rate_radps: largest yaw rate.
+        blend_reach_m: corners are blended over at most this distance before and after them.
         spacing_m: resolution of the schedule; the limits hold in between as well.
-        rate_hz: sampling rate of the trajectory, the controller's.
+        rate_hz: sampling rate of the trajectory and of the controller.
     """
 
     v_min_mps: float = 0.01
@@ -58,9 +63,9 @@ class VelocitySettings:
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value > 0):
                 raise SettingsError(f"{field.name} must be positive, got {value}")
-        if self.spacing_m < LEAST_SPACING_M or self.rate_hz > MOST_RATE_HZ:  # arrays of them must fit into memory
+        if self.spacing_m < MIN_SPACING_M or self.rate_hz > MAX_RATE_HZ:  # the samples must fit into memory
             raise SettingsError(
-                f"spacing_m must be at least {LEAST_SPACING_M:g} m and rate_hz at most {MOST_RATE_HZ:g}, "
+                f"spacing_m must be at least {MIN_SPACING_M:g} m and rate_hz at most {MAX_RATE_HZ:g}, "
                 f"got {self.spacing_m} and {self.rate_hz}"
             )
         if self.v_max_mps < self.v_min_mps:
@@ -69,13 +74,13 @@ class VelocitySettings:
 
 @dataclasses.dataclass(frozen=True)
 class SpeedProfile:
-    """Why the motion is as fast as it is, at N places along the blended path.
+    """Clearance, speed limit and speed at N poses along the blended path.
 
     Attributes:
-        arc_length_m: (N,) way of the tool's center.
+        arc_length_m: (N,) of the tool's center.
         clearance_m: (N,) d_o, a lower bound of the distance to the unsafe set (table included).
         limit_mps: (N,) v*, the largest speed whose tracking error fits the clearance, at most v_max.
-        speed_mps: (N,) scheduled speed of the tool's fastest point, never above the limit.
+        speed_mps: (N,) scheduled speed of the tool's fastest point, at most the limit.
         poses: (N, 4) of the path.
     """
 
@@ -102,19 +107,18 @@ def schedule(
     tracking: TrackingBound | None = None,
     rotation_weight_m2: float | None = None,
 ) -> tuple[Trajectory, SpeedProfile]:
-    """Trajectory along a path, from rest to rest, and the profile behind it.
+    """Time a path from rest to rest; return the trajectory and its speed profile.
 
-    v*(s) is the largest v with gamma(v) <= d_o(s), in [v_min, v_max] (section IV-C); corners are blended, and the
-    blended path is verified along its whole length before anything is timed.
+    The limit v*(s) is the largest v in [v_min, v_max] with gamma(v) <= d_o(s) (section IV-C). Corners are blended, and
+    the whole blended path is verified.
 
     Args:
-        tracking: gamma; that of the settings if None and they have one (``MotionSettings``), else the paper's line.
-        rotation_weight_m2: of the path's length; that of the settings if None and they have one, else 0.01.
+        tracking: gamma; if None, that of the settings (``MotionSettings``), else the line of the paper.
+        rotation_weight_m2: r of the arc length; if None, that of the settings, else 0.01.
 
     Raises:
-        PlanningError: somewhere the path is not clear by gamma(v_min); names the place, pose and clearance.
-        SettingsError: not even a standing robot has a tracking error within the field's reach, or the weight is not
-            positive and finite.
+        PlanningError: the clearance is below gamma(v_min) somewhere; names the place, pose and clearance.
+        SettingsError: gamma(v_min) is beyond the reach of the field, or the weight is not positive and finite.
     """
     body, tracking = body or ToolBody(), tracking_of(settings, tracking)
     if rotation_weight_m2 is None:
@@ -125,7 +129,7 @@ def schedule(
     if len(path) == 1:
         return _standstill(path, test, margin_m, settings, tracking)
     _verify(test, path.poses, margin_m, body.rho_max_m)
-    # the trajectory follows the arcs, the test their chords: the difference is part of the margin
+    # the trajectory follows the arcs, but the test their chords: the margin includes the difference
     arc_test = segment_test(field, body, margin_m + CHORD_TOLERANCE_M, CheckSettings())
     curve = blend_corners(
         path.poses,
@@ -138,15 +142,16 @@ def schedule(
     motion_m = _motion(curve.poses, body.rho_max_m)
     clearance_m = np.maximum(_lipschitz(body_clearance_m(test, curve.poses), motion_m), margin_m)
     allowed_mps = np.clip(tracking.speed_mps(clearance_m), settings.v_min_mps, settings.v_max_mps)
-    # between two places the clearance falls by at most the way to the nearer one, but never below the margin
+    # between two poses, the clearance falls by at most the motion to the nearer one, and is verified to keep the margin
     lowest_m = np.maximum((clearance_m[:-1] + clearance_m[1:] - motion_m) / 2, margin_m)
     cell_mps = _smoothed(np.clip(tracking.speed_mps(lowest_m), settings.v_min_mps, settings.v_max_mps))
-    rate = _rates(curve, cell_mps, settings, body.rho_max_m, rotation_weight_m2)
-    trajectory = _sampled(curve, rate, settings)
-    per_length = np.maximum(_point_speed(curve.before, body.rho_max_m), _point_speed(curve.after, body.rho_max_m))
+    rate = _rates(curve, cell_mps, settings, body.rho_max_m)
+    trajectory = _sample(curve, rate, settings)
+    before, after = (_point_speed(slope, body.rho_max_m) for slope in (curve.slope_before, curve.slope_after))
     steps_m = np.linalg.norm(np.diff(curve.poses[:, :3], axis=0), axis=1)
-    profile = SpeedProfile(np.append(0.0, np.cumsum(steps_m)), clearance_m, allowed_mps, rate * per_length, curve.poses)
-    return trajectory, profile
+    arc_length_m = np.append(0.0, np.cumsum(steps_m))
+    speed_mps = rate * np.maximum(before, after)
+    return trajectory, SpeedProfile(arc_length_m, clearance_m, allowed_mps, speed_mps, curve.poses)
 
 
 def schedule_at_top_speed(
@@ -156,15 +161,15 @@ def schedule_at_top_speed(
     body: ToolBody | None = None,
     rotation_weight_m2: float = 0.01,
 ) -> Trajectory:
-    """Trajectory from rest to rest at ``v_max_mps`` wherever accelerations and the yaw rate admit it, whatever is near.
+    """Time a path from rest to rest at ``v_max_mps``, limited by acceleration and yaw rate, but not by clearance.
 
-    What velocity scheduling is compared with. Corners are blended as by ``schedule``.
+    The baseline of velocity scheduling. Corners are blended as in ``schedule``.
 
     Args:
-        is_safe: whether the arc of a blended corner, given by poses (M, 4) along it, may be driven.
+        is_safe: test of the arc of a blended corner, given by poses (M, 4) along it.
 
     Raises:
-        SettingsError: a path of a single pose, which has no speed; or a weight that is not positive and finite.
+        SettingsError: a path of a single pose, or a weight that is not positive and finite.
     """
     _require_weight(rotation_weight_m2)
     if len(path) == 1:
@@ -172,9 +177,8 @@ def schedule_at_top_speed(
     curve = blend_corners(
         path.poses, rotation_weight_m2, settings.blend_reach_m, settings.spacing_m, is_safe, CHORD_TOLERANCE_M
     )
-    rho_max_m = (body or ToolBody()).rho_max_m
-    cell_mps = np.full(len(curve.length) - 1, settings.v_max_mps)
-    return _sampled(curve, _rates(curve, cell_mps, settings, rho_max_m, rotation_weight_m2), settings)
+    cell_mps = np.full(len(curve.arc_length) - 1, settings.v_max_mps)
+    return _sample(curve, _rates(curve, cell_mps, settings, (body or ToolBody()).rho_max_m), settings)
 
 
 def _require_weight(rotation_weight_m2: float) -> None:
@@ -182,20 +186,19 @@ def _require_weight(rotation_weight_m2: float) -> None:
         raise SettingsError(f"rotation_weight_m2 must be positive and finite, got {rotation_weight_m2}")
 
 
-def _rates(curve: SmoothPath, cell_mps: Array, settings: VelocitySettings, rho_max_m: float, weight_m2: float) -> Array:
-    """dl/dt (N,) at the places of the curve: forward and backward pass on its square, linear in each cell."""
-    slopes = np.stack([curve.after[:-1], curve.before[1:]])
-    spread = 1 + 1e-3 * (curve.bend > 0)  # slopes inside a bent cell differ a little from those at its ends
-    fastest = _point_speed(slopes, rho_max_m).max(axis=0) * spread
-    turning = np.abs(slopes[..., 3]).max(axis=0) * spread
-    most = np.minimum(cell_mps / fastest, settings.yaw_rate_radps / np.maximum(turning, 1e-9)) ** 2
-    # of the acceleration at most 0.8 may be normal to the path; what is left of it, at least 0.6, is tangential
-    bend = curve.bend * (1 + 1e-3)
-    most = np.minimum(most, 0.8 * settings.acceleration_mps2 / np.maximum(bend, 1e-9))
-    tangential = np.sqrt(settings.acceleration_mps2**2 - (bend * most) ** 2)
-    squared = np.minimum(np.append(most, np.inf), np.append(np.inf, most))
+def _rates(curve: SmoothPath, cell_mps: Array, settings: VelocitySettings, rho_max_m: float) -> Array:
+    """dl/dt (N,) along the curve: forward and backward pass on its square, which is linear in each cell."""
+    slopes = np.stack([curve.slope_after[:-1], curve.slope_before[1:]])
+    reserve = 1 + ROUNDING * (curve.curvature > 0)
+    fastest = _point_speed(slopes, rho_max_m).max(axis=0) * reserve
+    turning = np.abs(slopes[..., 3]).max(axis=0) * reserve
+    limit = np.minimum(cell_mps / fastest, settings.yaw_rate_radps / np.maximum(turning, 1e-9)) ** 2
+    curvature = curve.curvature * (1 + ROUNDING)
+    limit = np.minimum(limit, NORMAL_FRACTION * settings.acceleration_mps2 / np.maximum(curvature, 1e-9))
+    tangential = np.sqrt(settings.acceleration_mps2**2 - (curvature * limit) ** 2)
+    squared = np.minimum(np.append(limit, np.inf), np.append(np.inf, limit))
     squared[list(curve.stops)] = 0.0
-    gain = 2 * tangential * np.diff(curve.length) * (1 - 1e-3)
+    gain = 2 * tangential * np.diff(curve.arc_length) * (1 - ROUNDING)
     for n in range(len(gain)):
         squared[n + 1] = min(squared[n + 1], squared[n] + gain[n])
     for n in range(len(gain) - 1, -1, -1):
@@ -203,12 +206,14 @@ def _rates(curve: SmoothPath, cell_mps: Array, settings: VelocitySettings, rho_m
     return np.sqrt(squared)
 
 
-def _sampled(curve: SmoothPath, rate: Array, settings: VelocitySettings) -> Trajectory:
-    """The timed path at the controller's rate. The duration is stretched to a whole number of periods."""
-    cells = np.diff(curve.length)
+def _sample(curve: SmoothPath, rate: Array, settings: VelocitySettings) -> Trajectory:
+    """Sample the timed path at the controller's rate; the duration is stretched to a whole number of periods."""
+    cells = np.diff(curve.arc_length)
     times = np.append(0.0, np.cumsum(2 * cells / (rate[:-1] + rate[1:])))
-    if not times[-1] <= LONGEST_S:
-        raise PlanningError(f"the motion would take {times[-1]:.3g} s, {LONGEST_S:g} s are allowed; raise v_min_mps")
+    if not times[-1] <= MAX_DURATION_S:
+        raise PlanningError(
+            f"the motion would take {times[-1]:.3g} s, but at most {MAX_DURATION_S:g} s are allowed; raise v_min_mps"
+        )
     periods = max(1, math.ceil(times[-1] * settings.rate_hz - 1e-9))
     stretch = periods / settings.rate_hz / times[-1]
     time_s = np.arange(periods + 1) / settings.rate_hz
@@ -216,12 +221,12 @@ def _sampled(curve: SmoothPath, rate: Array, settings: VelocitySettings) -> Traj
     cell = np.clip(np.searchsorted(times, clock, "right") - 1, 0, len(cells) - 1)
     since = clock - times[cell]
     gain = (rate[1:] ** 2 - rate[:-1] ** 2) / (2 * cells)
-    length = np.clip(curve.length[cell] + since * (rate[cell] + gain[cell] * since / 2), 0, curve.length[-1])
-    pace = np.maximum(rate[cell] + gain[cell] * since, 0.0) / stretch
-    pace[0] = pace[-1] = 0.0
-    poses, slopes = curve.at(length)
+    arc_length = curve.arc_length[cell] + since * (rate[cell] + gain[cell] * since / 2)
+    sample_rate = np.maximum(rate[cell] + gain[cell] * since, 0.0) / stretch
+    sample_rate[0] = sample_rate[-1] = 0.0
+    poses, slopes = curve.at(np.clip(arc_length, 0, curve.arc_length[-1]))
     poses[0], poses[-1] = curve.poses[0], curve.poses[-1]
-    return Trajectory(time_s, poses, slopes * pace[:, None])
+    return Trajectory(time_s, poses, slopes * sample_rate[:, None])
 
 
 def _standstill(
@@ -229,7 +234,7 @@ def _standstill(
 ) -> tuple[Trajectory, SpeedProfile]:
     clearance_m = body_clearance_m(test, path.poses)
     if clearance_m[0] < margin_m:
-        raise PlanningError(_place(0.0, path.poses[0], float(clearance_m[0]), margin_m))
+        raise PlanningError(_too_close(0.0, path.poses[0], float(clearance_m[0]), margin_m))
     allowed_mps = np.clip(tracking.speed_mps(clearance_m), settings.v_min_mps, settings.v_max_mps)
     still = np.zeros(1)
     return (
@@ -239,28 +244,30 @@ def _standstill(
 
 
 def _verify(test: SegmentTest, poses: Array, margin_m: float, rho_max_m: float) -> None:
-    """Test the edges whole, as the planner did: a conservative test may refuse pieces of an edge it passes."""
-    way_m = 0.0
+    """Test whole edges, as the planner does: a conservative test may refuse pieces of an edge that it accepts."""
+    arc_length_m = 0.0
     for a, b in itertools.pairwise(poses):
         leg_m = float(np.linalg.norm((b - a)[:3]))
         if not is_segment_safe(test, a, b):
-            shares = np.linspace(0.0, 1.0, 2 + int(_motion(np.array([a, b]), rho_max_m)[0] / 0.0005))
-            near = a + shares[:, None] * (b - a)
-            clearance_m = body_clearance_m(test, near)
+            fractions = np.linspace(0.0, 1.0, 2 + int(_motion(np.array([a, b]), rho_max_m)[0] / 0.0005))
+            on_edge = a + fractions[:, None] * (b - a)
+            clearance_m = body_clearance_m(test, on_edge)
             worst = int(clearance_m.argmin())
-            raise PlanningError(_place(way_m + shares[worst] * leg_m, near[worst], float(clearance_m[worst]), margin_m))
-        way_m += leg_m
+            at_m = arc_length_m + fractions[worst] * leg_m
+            raise PlanningError(_too_close(at_m, on_edge[worst], float(clearance_m[worst]), margin_m))
+        arc_length_m += leg_m
 
 
-def _place(way_m: float, pose: Array, clearance_m: float, margin_m: float) -> str:
+def _too_close(arc_length_m: float, pose: Array, clearance_m: float, margin_m: float) -> str:
     return (
-        f"the path is not clear enough for the smallest speed: at {way_m:.4f} m along it, pose "
+        f"the path is too close to occupied space for the smallest speed: at {arc_length_m:.4f} m along it, pose "
         f"{np.round(pose, 4).tolist()}, the clearance is {1000 * clearance_m:.2f} mm and gamma(v_min) is "
         f"{1000 * margin_m:.2f} mm; plan with this tracking bound, or lower v_min_mps"
     )
 
 
 def _point_speed(slopes: Array, rho_max_m: float) -> Array:
+    """Bound of the speed of the tool's fastest point, |dx| + rho_max |dphi|."""
     return np.asarray(np.linalg.norm(slopes[..., :3], axis=-1) + rho_max_m * np.abs(slopes[..., 3]))
 
 
@@ -269,14 +276,14 @@ def _motion(poses: Array, rho_max_m: float) -> Array:
 
 
 def _smoothed(limit: Array, reach: int = 5) -> Array:
-    """A calmer limit that is nowhere above the given one: the mean of its running minima over the same window."""
+    """Smooth a limit without exceeding it: the moving average of its running minimum over the same window."""
     width = 2 * reach + 1
     least = ndimage.minimum_filter1d(limit, width, mode="nearest")
     return np.asarray(np.minimum(ndimage.uniform_filter1d(least, width, mode="nearest"), limit))
 
 
 def _lipschitz(clearance_m: Array, motion_m: Array) -> Array:
-    """The best lower bound at each place that the bounds at all places imply: clearance is 1-Lipschitz."""
+    """Tighten lower bounds of the clearance by those of the other poses: clearance is 1-Lipschitz in the motion."""
     bound = clearance_m.copy()
     for n in range(len(motion_m)):
         bound[n + 1] = max(bound[n + 1], bound[n] - motion_m[n])

@@ -10,7 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from deltasafe.planning import CheckSettings, DistanceField, SearchTree, grow_tree, line_cost, segment_test
+from deltasafe.planning import (
+    CheckSettings,
+    DistanceField,
+    RrtStarSettings,
+    SearchTree,
+    grow_tree,
+    line_cost,
+    search_problem,
+    segment_test,
+)
 from deltasafe.scene import Shape, grid_from_shapes
 from deltasafe.studies.baselines import LABELS, GaussianCheckSettings, enclosing_obstacle, gaussian_test
 from deltasafe.studies.planner.scenes import GOAL, HIGHEST_POSE, LOWEST_POSE, START, WORKSPACE_M, EllipticDisc
@@ -96,17 +105,9 @@ def build_test(
 
 def run_search(constraint: Any, cost: str, settings: SearchSettings, run: int) -> SearchTree:
     """Search from corner to corner with the seed of run number ``run``."""
+    line = line_cost(cost, settings.rotation_weight_m2)
+    problem = search_problem(constraint, line, np.array(LOWEST_POSE), np.array(HIGHEST_POSE))
+    rrt_star = RrtStarSettings(settings.steering_range_m, settings.goal_bias, settings.near_factor, informed=False)
     return grow_tree(
-        constraint,
-        line_cost(cost, settings.rotation_weight_m2),
-        np.array(START),
-        np.array(GOAL),
-        np.array(LOWEST_POSE),
-        np.array(HIGHEST_POSE),
-        n_iterations=settings.n_iterations,
-        seed=settings.first_seed + run,
-        steering_range_m=settings.steering_range_m,
-        goal_bias=settings.goal_bias,
-        near_factor=settings.near_factor,
-        informed=False,
+        problem, np.array(START), np.array(GOAL), settings.n_iterations, settings.first_seed + run, rrt_star
     )

@@ -17,6 +17,7 @@ from deltasafe.planning import (
     refine_path,
     schedule,
     schedule_at_top_speed,
+    search_problem,
     segment_test,
 )
 from deltasafe.planning.collision.segment_query import ask_segment
@@ -108,25 +109,12 @@ def parametric_motion(
             raise RefusalError(f"{name} unsafe")
     lower, upper = search_bounds(view, settings, start, goal[None])
     cost = line_cost(settings.cost, settings.rotation_weight_m2, view.arrays.floor_z_m, settings.length_weight_m)
-    tree = grow_tree(
-        constraint,
-        cost,
-        start,
-        goal,
-        lower,
-        upper,
-        settings.n_iterations,
-        seed,
-        steering_range_m=settings.steering_range_m,
-        goal_bias=settings.goal_bias,
-        near_factor=settings.near_factor,
-        near_set=settings.near_set,
-        informed=settings.informed,
-    )
+    problem = search_problem(constraint, cost, lower, upper)
+    tree = grow_tree(problem, start, goal, settings.n_iterations, seed, settings.rrt_star)
     poses = tree.path()
     if poses is None:
         raise RefusalError("no path in the budget")
-    poses = refine_path(constraint, cost, poses, lower, upper, settings.n_refinements, seed)
+    poses = refine_path(problem, poses, settings.n_refinements, seed)
     return _at_top_speed(PosePath(poses), constraint, settings)
 
 

@@ -13,15 +13,17 @@ from deltasafe.planning import (
     CheckSettings,
     DistanceField,
     RrtStar,
+    RrtStarSettings,
     SegmentTest,
     line_cost,
     path_cost,
     refine_path,
+    search_problem,
     segment_test,
 )
 from deltasafe.planning.collision.clearance_tables import UNIT_M
+from deltasafe.planning.collision.discrete import SampledTest
 from deltasafe.planning.collision.scenario_samples import POOL_SIZE
-from deltasafe.planning.collision.stepwise import SampledTest
 from deltasafe.scene import grid_from_shapes
 from deltasafe.studies.planner.scenes import (
     GOAL,
@@ -65,9 +67,9 @@ class Problem:
 
     def search(self, constraint: Any, seed: int, **options: Any) -> RrtStar:
         """Create a search."""
-        ends = np.array(START), np.array(GOAL), np.array(LOWEST_POSE), np.array(HIGHEST_POSE)
         options = {"steering_range_m": STEERING_M, "goal_bias": GOAL_BIAS, "informed": False, **options}
-        return RrtStar(constraint, COST, *ends, seed, **options)
+        problem = search_problem(constraint, COST, np.array(LOWEST_POSE), np.array(HIGHEST_POSE))
+        return RrtStar(problem, np.array(START), np.array(GOAL), seed, RrtStarSettings(**options))
 
     def iterations(self, constraint: Any, count: int, seed: int, **options: Any) -> tuple[float, float]:
         """Search for ``count`` iterations; return thread seconds and cost."""
@@ -91,10 +93,7 @@ class Problem:
         poses = search.tree.path()
         if poses is None:
             return time.thread_time() - began_s, float("inf")
-        bounds = np.array(LOWEST_POSE), np.array(HIGHEST_POSE)
-        poses = refine_path(
-            constraint, COST, poses, *bounds, None, seed, deadline_s=began_s + budget_s, clock=time.thread_time
-        )
+        poses = refine_path(search.problem, poses, None, seed, deadline_s=began_s + budget_s, clock=time.thread_time)
         return time.thread_time() - began_s, path_cost(COST, poses)
 
 

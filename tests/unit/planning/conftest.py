@@ -1,4 +1,4 @@
-"""Random analytic scenes, and an audit that shares no code with the planner's tests."""
+"""Random analytic scenes, and an audit that shares no code with the segment tests."""
 
 import itertools
 from collections.abc import Callable
@@ -25,21 +25,21 @@ def random_grid(seed: int, count: int = 4, voxel_m: float = 0.005) -> OccupancyG
     return grid_from_shapes(shapes, 0.01, LOWER, UPPER, voxel_m)
 
 
-def unsafe_share(
+def unsafe_fraction(
     grid: OccupancyGrid, delta: float, body: ToolBody, margin_m: float, poses: np.ndarray, spacing_m: float = 0.001
 ) -> float:
-    """Share of poses, ``spacing_m`` apart, with a point of the enlarged body in the unsafe set."""
+    """Fraction of poses, ``spacing_m`` apart, with a point of the enlarged body in the unsafe set."""
     points = body.samples(margin_m, 4400, seed=12345)
-    bad = total = 0
+    n_unsafe = n_poses = 0
     for a, b in itertools.pairwise(poses):
         motion = np.linalg.norm((b - a)[:3]) + body.rho_max_m * abs(b[3] - a[3])
         for t in np.linspace(0, 1, 1 + max(1, int(np.ceil(motion / spacing_m)))):
             x, y, z, yaw = a + t * (b - a)
             cos, sin = np.cos(yaw), np.sin(yaw)
             turned = points @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + (x, y, z)
-            bad += bool((grid.at(turned) > np.float32(delta)).any())
-            total += 1
-    return bad / total
+            n_unsafe += bool((grid.at(turned) > np.float32(delta)).any())
+            n_poses += 1
+    return n_unsafe / n_poses
 
 
 @pytest.fixture(scope="session")
@@ -49,4 +49,4 @@ def make_grid() -> Callable[..., OccupancyGrid]:
 
 @pytest.fixture(scope="session")
 def audit() -> Callable[..., float]:
-    return unsafe_share
+    return unsafe_fraction

@@ -1,3 +1,5 @@
+"""The tool body: distances against closed forms and a search, its covers, and its samples."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,7 +19,7 @@ BODIES = [
 
 
 @given(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(0.01, 0.05), st.floats(0.01, 0.05))
-def test_distance_to_an_ellipse_against_a_search(x: float, y: float, a: float, b: float) -> None:
+def test_distance_to_ellipse_equals_a_numeric_search(x: float, y: float, a: float, b: float) -> None:
     distance_m = distance_to_ellipse(np.array([[x, y]]), a, b)[0]
     if (x / a) ** 2 + (y / b) ** 2 <= 1:
         assert distance_m == 0
@@ -33,7 +35,7 @@ def test_distance_to_an_ellipse_against_a_search(x: float, y: float, a: float, b
     assert distance_m == pytest.approx(found.fun, abs=1e-7)
 
 
-def test_distance_to_the_body_in_closed_form() -> None:
+def test_distance_to_body_equals_closed_form() -> None:
     body = ToolBody()
     points = np.array(
         [[0, 0, 0], [0.04, 0, 0], [0, 0.02, 0], [0.02, 0, 0.009], [0.01, 0, 0.1], [0, 0, 0.26], [0.033, 0, 0.009]]
@@ -42,7 +44,7 @@ def test_distance_to_the_body_in_closed_form() -> None:
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_the_cover_contains_the_disc_and_is_tight(body: ToolBody) -> None:
+def test_disc_cover_contains_the_disc_and_is_tight(body: ToolBody) -> None:
     centers, radius_m = body.disc_cover
     disc = ToolBody(*[getattr(body, n) for n in ("semi_axis_x_m", "semi_axis_y_m", "thickness_m")], 1e-4, 2e-4)
     rng = np.random.default_rng(0)
@@ -53,17 +55,17 @@ def test_the_cover_contains_the_disc_and_is_tight(body: ToolBody) -> None:
     for part in (points, edge):
         nearest = np.linalg.norm(part[:, None] - centers[None], axis=2).min(axis=1)
         assert nearest.max() <= radius_m + 1e-12
-    way = rng.normal(size=(300, 3))
-    surface = centers[:, None] + radius_m * (way / np.linalg.norm(way, axis=1)[:, None])[None]
+    direction = rng.normal(size=(300, 3))
+    surface = centers[:, None] + radius_m * (direction / np.linalg.norm(direction, axis=1)[:, None])[None]
     assert body.distance_m(surface.reshape(-1, 3)).max() < 0.0025
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_a_few_balls_contain_the_disc_and_are_tight_in_its_plane(body: ToolBody) -> None:
-    balls = body.disc_balls
+def test_bounding_balls_contain_the_disc_and_are_tight_in_its_plane(body: ToolBody) -> None:
+    balls = body.bounding_balls
     angle = np.linspace(0, 2 * np.pi, 2001)
     rim = np.column_stack([body.semi_axis_x_m * np.cos(angle), body.semi_axis_y_m * np.sin(angle)])
-    disc = np.concatenate([rim * share for share in np.linspace(0, 1, 41)])
+    disc = np.concatenate([rim * factor for factor in np.linspace(0, 1, 41)])
     points = np.column_stack([disc, np.full(len(disc), body.thickness_m / 2)])
     assert (np.linalg.norm(points[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1).max() <= 1e-12
     circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
@@ -72,7 +74,7 @@ def test_a_few_balls_contain_the_disc_and_are_tight_in_its_plane(body: ToolBody)
     assert len(balls) <= 25
 
 
-def test_a_disc_alone_has_no_shaft() -> None:
+def test_zero_shaft_length_means_no_shaft() -> None:
     disc = ToolBody(0.04, 0.02, 0.002, shaft_length_m=0.0)
     assert disc.distance_m(np.array([[0.0, 0.0, 0.1]]))[0] == pytest.approx(0.099)
     samples = disc.samples(0.003, 5000, 0)
@@ -82,8 +84,8 @@ def test_a_disc_alone_has_no_shaft() -> None:
 
 
 @pytest.mark.parametrize("margin_m", [0.0, 0.0055])
-def test_samples_are_uniform_on_the_true_enlargement(margin_m: float) -> None:
-    """Shares of sub-boxes against an independent count of lattice points."""
+def test_samples_are_uniform_on_the_enlarged_body(margin_m: float) -> None:
+    """Fractions of the samples below planes, compared with an independent count of lattice points."""
     body = ToolBody(shaft_length_m=0.05)
     samples = body.samples(margin_m, 40000, seed=3)
     assert body.distance_m(samples).max() <= margin_m
@@ -97,7 +99,7 @@ def test_samples_are_uniform_on_the_true_enlargement(margin_m: float) -> None:
         assert (samples[:, axis] < cut).mean() == pytest.approx(expected, abs=5 * 0.5 / 200 + 0.008)
 
 
-def test_samples_are_determined_by_their_seed() -> None:
+def test_samples_depend_on_the_seed_alone() -> None:
     assert (ToolBody().samples(0.001, 50, 7) == ToolBody().samples(0.001, 50, 7)).all()
     assert (ToolBody().samples(0.001, 50, 7) != ToolBody().samples(0.001, 50, 8)).any()
     with pytest.raises(SettingsError, match="margin_m"):

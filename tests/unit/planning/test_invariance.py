@@ -1,4 +1,4 @@
-"""Rigid motions of the world move the answers with it."""
+"""Answers are invariant under rigid motions of the world."""
 
 from collections.abc import Callable
 
@@ -19,7 +19,7 @@ def grid(make_grid: Callable[..., OccupancyGrid]) -> OccupancyGrid:
     return make_grid(1)
 
 
-def drawn(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+def random_segments(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     starts = rng.uniform([-0.16, -0.11, 0.015, -1.6], [0.16, 0.11, 0.14, 1.6], (count, 4))
     return starts, starts + rng.normal(size=(count, 4)) * np.array([0.04, 0.04, 0.02, 0.4])
@@ -33,19 +33,24 @@ def answers(grid: OccupancyGrid, method: str, starts: np.ndarray, ends: np.ndarr
 
 @FIXED
 @given(st.sampled_from(["exact", "continuous"]), st.integers(0, 10**6), st.tuples(*[st.integers(-40, 40)] * 2))
-def test_a_shift_by_whole_voxels(grid: OccupancyGrid, method: str, seed: int, steps: tuple[int, int]) -> None:
+def test_shift_by_whole_voxels_changes_no_clearance(
+    grid: OccupancyGrid, method: str, seed: int, steps: tuple[int, int]
+) -> None:
     shift = np.array([*steps, 0]) * grid.voxel_m
     moved = OccupancyGrid(grid.p_occupied, grid.origin_m + shift, grid.voxel_m)
-    starts, ends = drawn(seed, 15)
+    starts, ends = random_segments(seed, 15)
     by = np.append(shift, 0.0)
-    there, here = answers(grid, method, starts, ends), answers(moved, method, starts + by, ends + by)
-    np.testing.assert_allclose(there[1], here[1], atol=1e-9)
-    assert (there[0] == here[0]).mean() > 0.99  # rounding decides where a clearance is exactly what is needed
+    safe, clearance_m = answers(grid, method, starts, ends)
+    moved_safe, moved_clearance_m = answers(moved, method, starts + by, ends + by)
+    np.testing.assert_allclose(clearance_m, moved_clearance_m, atol=1e-9)
+    assert (safe == moved_safe).mean() > 0.99  # rounding decides if a clearance equals the required one
 
 
 @FIXED
 @given(st.sampled_from(["exact", "continuous"]), st.integers(0, 10**6), st.integers(1, 3))
-def test_a_quarter_turn(grid: OccupancyGrid, method: str, seed: int, quarters: int) -> None:
+def test_quarter_turn_changes_clearances_by_less_than_a_voxel(
+    grid: OccupancyGrid, method: str, seed: int, quarters: int
+) -> None:
     middle = grid.origin_m + np.array(grid.p_occupied.shape) * grid.voxel_m / 2
     turned = np.rot90(grid.p_occupied, quarters, axes=(0, 1))
     origin = middle - np.array(turned.shape) * grid.voxel_m / 2
@@ -57,8 +62,9 @@ def test_a_quarter_turn(grid: OccupancyGrid, method: str, seed: int, quarters: i
         rotated = np.column_stack([c * x - s * y, s * x + c * y]) + middle[:2]
         return np.column_stack([rotated, poses[:, 2], poses[:, 3] + quarters * np.pi / 2])
 
-    starts, ends = drawn(seed, 15)
-    there, here = answers(grid, method, starts, ends), answers(moved, method, turn(starts), turn(ends))
-    # blocks of the coarse grid fall elsewhere, and voxel faces are decided by rounding: bounds differ a little
-    assert np.abs(np.minimum(there[1], 0.03) - np.minimum(here[1], 0.03)).max() < grid.voxel_m
-    assert (there[0] == here[0]).mean() > 0.8
+    starts, ends = random_segments(seed, 15)
+    safe, clearance_m = answers(grid, method, starts, ends)
+    moved_safe, moved_clearance_m = answers(moved, method, turn(starts), turn(ends))
+    # the cells of the coarse grid change, and rounding decides voxel faces: bounds differ a little
+    assert np.abs(np.minimum(clearance_m, 0.03) - np.minimum(moved_clearance_m, 0.03)).max() < grid.voxel_m
+    assert (safe == moved_safe).mean() > 0.8

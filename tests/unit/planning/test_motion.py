@@ -1,3 +1,5 @@
+"""Planned motions: storage, settings, and the tracking bound that search and schedule use."""
+
 import dataclasses
 import json
 import pathlib
@@ -5,7 +7,6 @@ import pathlib
 import numpy as np
 import pytest
 
-from deltasafe.compute import numba_cache
 from deltasafe.errors import DataError, PlanningError
 from deltasafe.geometry import Pose
 from deltasafe.io.records import from_json
@@ -40,7 +41,7 @@ def motion(grid: OccupancyGrid) -> PlannedMotion:
     return plan_motion(grid, START, GOAL, MotionSettings(n_iterations=500), 3)
 
 
-def test_a_motion_is_complete_and_survives_storage(motion: PlannedMotion, tmp_path: pathlib.Path) -> None:
+def test_stored_motion_equals_the_original(motion: PlannedMotion, tmp_path: pathlib.Path) -> None:
     assert motion.is_safe
     assert motion.reason == ""
     motion.save(tmp_path / "motion")
@@ -58,7 +59,7 @@ def test_a_motion_is_complete_and_survives_storage(motion: PlannedMotion, tmp_pa
     assert again.result.clearance_m == motion.result.clearance_m
 
 
-def test_no_path_is_an_outcome_and_survives_storage(grid: OccupancyGrid, tmp_path: pathlib.Path) -> None:
+def test_motion_without_path_states_the_reason_and_can_be_stored(grid: OccupancyGrid, tmp_path: pathlib.Path) -> None:
     motion = plan_motion(grid, Pose(0, 0, 0.03), GOAL, MotionSettings(), 0)
     assert not motion.is_safe
     assert motion.trajectory is None
@@ -70,7 +71,7 @@ def test_no_path_is_an_outcome_and_survives_storage(grid: OccupancyGrid, tmp_pat
     assert again.result.path is None
 
 
-def test_broken_storage_is_named(motion: PlannedMotion, tmp_path: pathlib.Path) -> None:
+def test_invalid_files_are_named(motion: PlannedMotion, tmp_path: pathlib.Path) -> None:
     folder = tmp_path / "motion"
     with pytest.raises(DataError, match=r"motion\.json"):
         PlannedMotion.load(folder)
@@ -88,17 +89,17 @@ def test_broken_storage_is_named(motion: PlannedMotion, tmp_path: pathlib.Path) 
         PlannedMotion.load(folder)
 
 
-def test_settings_survive_json_and_hold_the_tool() -> None:
+def test_settings_with_a_tool_survive_json() -> None:
     settings = MotionSettings(gamma0_m=0.002, body=ToolBody(0.02, 0.01))
     assert from_json(MotionSettings, json.loads(json.dumps(dataclasses.asdict(settings)))) == settings
     assert (settings.tracking.gamma0_m, settings.body.semi_axis_x_m) == (0.002, 0.02)
 
 
-def test_default_settings_are_those_of_the_default_preset() -> None:
+def test_default_settings_equal_the_default_preset() -> None:
     assert MotionSettings() == PRESETS["default"].motion == PRESETS["paper"].motion
 
 
-def test_search_and_schedule_keep_the_tracking_bound_of_their_settings(grid: OccupancyGrid) -> None:
+def test_search_and_schedule_use_the_tracking_bound_of_the_settings(grid: OccupancyGrid) -> None:
     """gamma(v_min) is 10 mm + 0.05 s * 0.01 m/s; the reserve is 1 mm."""
     settings, field = MotionSettings(gamma0_m=0.01, n_iterations=500), DistanceField.build(grid, 0.05)
     result = plan(START, GOAL, field, settings, 3)
@@ -114,7 +115,7 @@ def test_search_and_schedule_keep_the_tracking_bound_of_their_settings(grid: Occ
         schedule(close.path, field, settings)
 
 
-def test_a_given_tracking_bound_goes_before_that_of_the_settings(grid: OccupancyGrid) -> None:
+def test_tracking_argument_overrides_the_settings(grid: OccupancyGrid) -> None:
     settings, field = MotionSettings(gamma0_m=0.01, n_iterations=500), DistanceField.build(grid, 0.05)
     assert plan(START, GOAL, field, settings, 3, tracking=TrackingBound()).margin_m == pytest.approx(0.0015)
     motion = plan_motion(grid, START, GOAL, settings, 3)
@@ -124,7 +125,7 @@ def test_a_given_tracking_bound_goes_before_that_of_the_settings(grid: Occupancy
     assert plan(START, GOAL, field, plain, 3).margin_m == pytest.approx(0.0015)
 
 
-def test_the_schedule_takes_the_rotation_weight_of_its_settings(grid: OccupancyGrid, motion: PlannedMotion) -> None:
+def test_schedule_uses_the_rotation_weight_of_the_settings(grid: OccupancyGrid, motion: PlannedMotion) -> None:
     assert motion.result.path is not None
     field, settings = DistanceField.build(grid, 0.05), MotionSettings(rotation_weight_m2=0.04)
     of_settings = schedule(motion.result.path, field, settings)[0]
@@ -132,17 +133,3 @@ def test_the_schedule_takes_the_rotation_weight_of_its_settings(grid: OccupancyG
     other = schedule(motion.result.path, field, settings, rotation_weight_m2=0.01)[0]
     assert np.array_equal(of_settings.poses, given.poses)
     assert not np.array_equal(of_settings.poses, other.poses)
-
-
-def test_a_cache_written_with_foreign_types_is_not_fatal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A constraint type that a script defines must not break the planner in other processes."""
-
-    def fail(self: object) -> None:
-        raise ModuleNotFoundError("No module named 'a_script'")
-
-    monkeypatch.setattr(numba_cache.caching.IndexDataCacheFile, "_load_index", fail)
-    assert numba_cache.compiled(_double)(2.5) == 5.0
-
-
-def _double(value):  # type: ignore[no-untyped-def]
-    return 2 * value

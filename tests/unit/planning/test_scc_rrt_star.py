@@ -1,3 +1,5 @@
+"""SCC-RRT*: safety of returned paths, their costs, and the outcomes without a path."""
+
 import dataclasses
 import math
 from collections.abc import Callable
@@ -23,7 +25,7 @@ def wall(height_m: float, voxel_m: float = 0.005) -> OccupancyGrid:
 def test_returned_paths_hold_no_unsafe_pose(
     seed: int, make_grid: Callable[..., OccupancyGrid], audit: Callable[..., float]
 ) -> None:
-    """Every millimeter, with 4400 points of the enlarged body that share no code with the test."""
+    """Audited every millimeter, at 4400 points of the enlarged body, without code of the segment tests."""
     grid = make_grid(seed, count=5)
     result = plan(START, GOAL, DistanceField.build(grid, 0.05), SETTINGS, seed)
     assert result.status is PlanStatus.SOLVED
@@ -33,7 +35,7 @@ def test_returned_paths_hold_no_unsafe_pose(
     assert result.path.poses[-1].tolist() == list(GOAL.as_tuple())
 
 
-def test_a_wall_across_the_view_is_crossed_above_it(audit: Callable[..., float]) -> None:
+def test_wall_across_the_grid_is_crossed_above_it(audit: Callable[..., float]) -> None:
     grid = wall(0.088)
     result = plan(START, GOAL, DistanceField.build(grid, 0.05), SETTINGS, 0)
     assert result.status is PlanStatus.SOLVED
@@ -42,7 +44,7 @@ def test_a_wall_across_the_view_is_crossed_above_it(audit: Callable[..., float])
     assert audit(grid, 0.05, ToolBody(), result.margin_m, result.path.poses) == 0
 
 
-def test_costs_are_those_of_the_path() -> None:
+def test_reported_costs_equal_those_of_the_path() -> None:
     field = DistanceField.build(wall(0.06), 0.05)
     result = plan(START, GOAL, field, dataclasses.replace(SETTINGS, cost="area"), 0)
     assert result.path is not None
@@ -64,7 +66,7 @@ def test_costs_are_those_of_the_path() -> None:
         (START, Pose(0.14, 0, 0.004), PlanStatus.GOAL_UNSAFE),
     ],
 )
-def test_an_unsafe_end_is_named_with_its_clearance(start: Pose, goal: Pose, status: PlanStatus) -> None:
+def test_unsafe_end_is_reported_with_its_clearance(start: Pose, goal: Pose, status: PlanStatus) -> None:
     result = plan(start, goal, DistanceField.build(wall(0.06), 0.05), SETTINGS, 0)
     assert result.status is status
     assert result.path is None
@@ -72,25 +74,25 @@ def test_an_unsafe_end_is_named_with_its_clearance(start: Pose, goal: Pose, stat
     assert "mm" in result.message
 
 
-def test_no_connection_is_told_from_a_spent_budget() -> None:
+def test_missing_connection_differs_from_spent_budget() -> None:
     low_ceiling = dataclasses.replace(SETTINGS, z_max_above_field_m=0.001)
     field = DistanceField.build(wall(0.088, 0.0025), 0.05)
     assert plan(START, GOAL, field, low_ceiling, 0).status is PlanStatus.NO_CONNECTION
-    hurried = dataclasses.replace(SETTINGS, n_iterations=3)
-    assert plan(START, GOAL, field, hurried, 0).status is PlanStatus.BUDGET_SPENT
+    small_budget = dataclasses.replace(SETTINGS, n_iterations=3)
+    assert plan(START, GOAL, field, small_budget, 0).status is PlanStatus.BUDGET_SPENT
 
 
-def test_the_sampled_method_is_verified_all_the_same() -> None:
-    """Few samples miss a thin post in the straight way; the verdict does not."""
+def test_paths_of_the_sampled_method_are_verified_continuously() -> None:
+    """Three samples miss the thin posts on the straight line; the verification does not."""
     posts = [Sphere((x, 0.0, z), 0.002) for x in (-0.06, 0.0, 0.06) for z in (0.02, 0.03, 0.04)]
     field = DistanceField.build(grid_from_shapes(posts, 0.0, LOWER, UPPER, 0.0025), 0.05)
-    careless = dataclasses.replace(SETTINGS, method="sampled", n_samples=3)
-    verdicts = [plan(START, GOAL, field, careless, seed).status for seed in range(4)]
-    assert PlanStatus.UNVERIFIED in verdicts
+    few_samples = dataclasses.replace(SETTINGS, method="sampled", n_samples=3)
+    outcomes = [plan(START, GOAL, field, few_samples, seed).status for seed in range(4)]
+    assert PlanStatus.UNVERIFIED in outcomes
     assert plan(START, GOAL, field, SETTINGS, 0).status is PlanStatus.SOLVED
 
 
-def test_the_same_seed_gives_the_same_path(make_grid: Callable[..., OccupancyGrid]) -> None:
+def test_same_seed_gives_the_same_path(make_grid: Callable[..., OccupancyGrid]) -> None:
     field = DistanceField.build(make_grid(3), 0.05)
     one, two, other = (plan(START, GOAL, field, SETTINGS, seed) for seed in (1, 1, 2))
     assert one.path is not None
@@ -100,7 +102,7 @@ def test_the_same_seed_gives_the_same_path(make_grid: Callable[..., OccupancyGri
     assert not np.array_equal(one.path.poses, other.path.poses)
 
 
-def test_yaw_takes_the_short_way_round() -> None:
+def test_yaw_turns_the_shorter_way() -> None:
     free = DistanceField.build(OccupancyGrid(np.zeros((80, 60, 10), np.float32), np.array(LOWER), 0.005), 0.05)
     result = plan(Pose(-0.1, 0, 0.03, 3.0), Pose(0.1, 0, 0.03, -3.0), free, SETTINGS, 0)
     assert result.path is not None
@@ -112,12 +114,16 @@ def test_yaw_takes_the_short_way_round() -> None:
     "changes",
     [
         {"delta": 0.0},
-        {"cost": "beauty"},
+        {"cost": "length"},
         {"n_iterations": 0},
         {"n_iterations": 10.5},
         {"n_iterations": math.nan},
         {"n_refinements": 10.5},
         {"goal_bias": 1.0},
+        {"steering_range_m": 0.0},
+        {"near_factor": math.nan},
+        {"near_set": "ball"},
+        {"time_limit_s": -1.0},
         {"v_min_mps": -1.0},
         {"reserve_m": -0.1},
         {"yaw_range_rad": 4.0},
@@ -128,6 +134,6 @@ def test_settings_out_of_domain_are_refused(changes: dict) -> None:
         dataclasses.replace(SETTINGS, **changes)
 
 
-def test_field_and_settings_must_agree_on_delta() -> None:
+def test_field_for_another_delta_is_refused() -> None:
     with pytest.raises(SettingsError, match="delta"):
         plan(START, GOAL, DistanceField.build(wall(0.05), 0.1), SETTINGS, 0)

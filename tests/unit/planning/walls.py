@@ -1,4 +1,4 @@
-"""A constraint for tests of the search alone. One type for all of them: each would be compiled anew."""
+"""A constraint for tests of the search alone; a single type, since the search is compiled once per type."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from deltasafe.planning import answers_segments
 
 
 class Wall(NamedTuple):
-    """Forbids the slab |x| < half below ``height`` and for y < ``gap_y``."""
+    """Forbids poses with |x| < half, z < ``height`` and y < ``gap_y``."""
 
     half: float
     height: float

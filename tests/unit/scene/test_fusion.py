@@ -1,3 +1,5 @@
+"""Fusion of the grids of several cameras."""
+
 import numpy as np
 import pytest
 
@@ -10,15 +12,15 @@ def random_grid(seed: int, shape: tuple[int, int, int], origin_voxels: tuple[int
     return OccupancyGrid(p_occupied, np.array([*origin_voxels, 0]) * 0.01, 0.01)
 
 
-def test_the_fused_field_is_the_smallest_at_every_point() -> None:
+def test_fused_grid_is_the_minimum_at_each_point() -> None:
     grids = [random_grid(0, (8, 6, 5), (0, 0)), random_grid(1, (7, 9, 4), (3, -2)), random_grid(2, (2, 2, 6), (-1, 4))]
     fused = fuse_grids(grids)
     points_m = np.random.default_rng(3).uniform([-0.05, -0.05, -0.01], [0.15, 0.12, 0.07], (4000, 3))
     np.testing.assert_array_equal(fused.at(points_m), np.min([grid.at(points_m) for grid in grids], axis=0))
 
 
-def test_two_cameras_cut_the_shadow_that_one_casts() -> None:
-    """A post seen from two sides: each extrusion leans away from its camera, their intersection does not."""
+def test_second_camera_removes_the_shadow_of_the_first() -> None:
+    """A post seen from two sides: each extrusion leans away from its camera, but their intersection does not."""
     grids = []
     for x_m in (-0.15, 0.15):
         rotation = np.diag([1.0, -1.0, -1.0])
@@ -38,7 +40,7 @@ def test_two_cameras_cut_the_shadow_that_one_casts() -> None:
 
 
 @pytest.mark.parametrize("other", [random_grid(0, (3, 3, 3), (0, 0))])
-def test_grids_that_do_not_fit_are_refused(other: OccupancyGrid) -> None:
+def test_grids_with_other_voxels_or_tables_are_refused(other: OccupancyGrid) -> None:
     shifted = OccupancyGrid(other.p_occupied, np.array([0.004, 0.0, 0.0]), 0.01)
     raised = OccupancyGrid(other.p_occupied, np.array([0.0, 0.0, 0.01]), 0.01)
     coarse = OccupancyGrid(other.p_occupied, np.zeros(3), 0.02)

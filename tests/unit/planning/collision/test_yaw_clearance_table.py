@@ -1,4 +1,4 @@
-"""Against the body's own points, against the other tests, and against looser bodies that must be free as well."""
+"""The yaw clearance table against an independent audit, and against the segment tests."""
 
 from collections.abc import Callable
 
@@ -22,22 +22,22 @@ def field(make_grid: Callable[..., OccupancyGrid], request: pytest.FixtureReques
 
 
 def free(field: DistanceField, body: ToolBody, clear_m: float, poses: np.ndarray) -> np.ndarray:
-    certificate = yaw_clearance_table(field, body, clear_m)
-    return np.array([is_free_by_yaw(certificate, field.arrays.lattice, *pose) for pose in poses])
+    table = yaw_clearance_table(field, body, clear_m)
+    return np.array([is_free_by_yaw(table, field.arrays.lattice, tuple(pose)) for pose in poses])
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_what_is_free_keeps_its_distance(field: DistanceField, body: ToolBody, audit: Callable[..., float]) -> None:
+def test_free_poses_keep_the_clearance(field: DistanceField, body: ToolBody, audit: Callable[..., float]) -> None:
     poses = np.random.default_rng(1).uniform(LOW, HIGH, (500, 4))
-    found = free(field, body, CLEAR_M, poses)
-    assert 50 < found.sum() < 450
-    for pose in poses[found][:80]:
+    is_free = free(field, body, CLEAR_M, poses)
+    assert 50 < is_free.sum() < 450
+    for pose in poses[is_free][:80]:
         assert audit(field.grid, 0.05, body, CLEAR_M, np.array([pose, pose])) == 0
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_it_is_not_needlessly_strict(field: DistanceField, body: ToolBody) -> None:
-    """Two voxels along each axis, and the turn within a bin, are lost; the bound compared with loses up to 6 mm."""
+def test_poses_with_more_clearance_than_the_table_loses_are_free(field: DistanceField, body: ToolBody) -> None:
+    """The table loses two voxels along each axis, and the turn within a bin."""
     poses = np.random.default_rng(2).uniform(LOW, HIGH, (3000, 4))
     voxel_m = field.grid.voxel_m
     lost_m = 2 * voxel_m * np.sqrt(3) + abs(body.semi_axis_x_m - body.semi_axis_y_m) * np.pi / BINS
@@ -47,21 +47,21 @@ def test_it_is_not_needlessly_strict(field: DistanceField, body: ToolBody) -> No
 
 
 @pytest.mark.parametrize("body", BODIES[:2])
-def test_it_settles_most_of_what_the_certificate_without_yaw_leaves_open(field: DistanceField, body: ToolBody) -> None:
+def test_table_accepts_most_poses_that_the_coarse_table_does_not(field: DistanceField, body: ToolBody) -> None:
     poses = np.random.default_rng(3).uniform(LOW, HIGH, (2000, 4))
     plain, with_yaw = (
-        segment_test(field, body, 0.001, CheckSettings("exact", by_yaw=by_yaw)).certificates for by_yaw in (False, True)
+        segment_test(field, body, 0.001, CheckSettings("exact", by_yaw=by_yaw)).tables for by_yaw in (False, True)
     )
     assert plain.by_yaw.clear_m < 0 < with_yaw.by_yaw.clear_m
     need_m = with_yaw.by_yaw.clear_m
-    coarse = np.array([table_clearance_m(plain, *pose[:3]) >= need_m for pose in poses])
+    coarse = np.array([table_clearance_m(plain, tuple(pose)) >= need_m for pose in poses])
     clear = body_clearance_m(segment_test(field, body, 0.0), poses) >= need_m
     assert (free(field, body, need_m, poses) & ~coarse).sum() > 0.5 * (clear & ~coarse).sum() > 50
 
 
 @pytest.mark.parametrize("method", ["sampled", "exact", "continuous"])
-def test_answers_with_it_and_without(field: DistanceField, method: str, audit: Callable[..., float]) -> None:
-    """Samples are decided as before; the others see a little more with it, and all of it is safe."""
+def test_answers_with_the_table_are_safe(field: DistanceField, method: str, audit: Callable[..., float]) -> None:
+    """The sampled test answers the same; the others accept some more segments, all of them safe."""
     body, rng = ToolBody(), np.random.default_rng(4)
     starts = rng.uniform(LOW, HIGH, (400, 4))
     ends = starts + rng.normal(size=(400, 4)) * np.array([0.06, 0.06, 0.03, 0.5])
@@ -75,7 +75,7 @@ def test_answers_with_it_and_without(field: DistanceField, method: str, audit: C
         assert audit(field.grid, 0.05, body, 0.001, np.array([a, b])) == 0
 
 
-def test_it_is_made_once_for_a_field_and_a_body(field: DistanceField) -> None:
+def test_table_is_cached_per_field_body_and_clearance(field: DistanceField) -> None:
     first = yaw_clearance_table(field, ToolBody(), CLEAR_M)
     assert yaw_clearance_table(field, ToolBody(), CLEAR_M) is first
     assert yaw_clearance_table(field, ToolBody(thickness_m=0.011), CLEAR_M) is not first

@@ -1,4 +1,4 @@
-"""The search as something that goes on: in pieces, toward many goals, among changed surroundings."""
+"""Continued searches: in several calls, for several goals, and with another constraint."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,11 +13,13 @@ from deltasafe.planning import (
     CheckSettings,
     DistanceField,
     RrtStar,
+    RrtStarSettings,
     SearchTree,
     ToolBody,
     line_cost,
     path_cost,
     refine_path,
+    search_problem,
     segment_test,
 )
 from deltasafe.planning.search.cost import segment_cost
@@ -27,13 +29,11 @@ from tests.unit.planning.walls import Wall, passes
 START, GOAL = np.array([-0.15, 0.0, 0.03, 0.0]), np.array([0.15, 0.02, 0.03, 0.3])
 LOWER, UPPER = np.array([-0.2, -0.15, 0.02, -1.6]), np.array([0.2, 0.15, 0.15, 1.6])
 ROOT = line_cost("root")
-
-
 WALL = Wall(0.06, 0.12, 0.02)
 
 
 def search(wall: Wall = WALL, cost: Any = ROOT, seed: int = 0, goals: Any = GOAL, **options: Any) -> RrtStar:
-    return RrtStar(wall, cost, START, goals, LOWER, UPPER, seed, **options)
+    return RrtStar(search_problem(wall, cost, LOWER, UPPER), START, goals, seed, RrtStarSettings(**options))
 
 
 def same(one: SearchTree, two: SearchTree) -> bool:
@@ -45,7 +45,7 @@ def same(one: SearchTree, two: SearchTree) -> bool:
 
 
 def check(tree: SearchTree, cost: Any, wall: Wall) -> None:
-    """A tree, whose costs add up and whose edges pass."""
+    """Assert that the tree is connected, that its costs add up, and that its edges pass."""
     assert np.isfinite(tree.nodes).all()
     assert not np.isnan(tree.cost).any()
     assert tree.parent[0] == -1
@@ -69,7 +69,7 @@ def check(tree: SearchTree, cost: Any, wall: Wall) -> None:
 
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 2**31), st.sampled_from(["root", "squared", "area"]), st.booleans(), st.lists(st.integers(1, 60)))
-def test_after_every_piece_of_a_search_the_tree_is_whole(seed: int, kind: str, informed: bool, pieces: list) -> None:
+def test_tree_is_valid_after_each_call_and_never_gets_worse(seed: int, kind: str, informed: bool, pieces: list) -> None:
     cost = line_cost(kind)
     growing = search(cost=cost, seed=seed, informed=informed, near_factor=2.0)
     best = np.inf
@@ -81,10 +81,10 @@ def test_after_every_piece_of_a_search_the_tree_is_whole(seed: int, kind: str, i
 
 
 @pytest.mark.parametrize("near_set", ["k", "radius"])
-def test_pieces_give_the_tree_of_the_whole_and_so_do_buckets(near_set: str) -> None:
+def test_tree_does_not_depend_on_calls_or_on_the_bucket_threshold(near_set: str) -> None:
     trees = []
-    for pieces, many in (([1500], 10**6), ([1, 63, 500, 936], 10**6), ([1500], 40), ([700, 800], 300)):
-        growing = search(near_set=near_set, near_factor=1.5, many=many)
+    for pieces, threshold in (([1500], 10**6), ([1, 63, 500, 936], 10**6), ([1500], 40), ([700, 800], 300)):
+        growing = search(near_set=near_set, near_factor=1.5, bucket_threshold=threshold)
         for piece in pieces:
             growing.grow(piece)
         trees.append(growing.tree)
@@ -92,7 +92,7 @@ def test_pieces_give_the_tree_of_the_whole_and_so_do_buckets(near_set: str) -> N
     assert trees[0].n_iterations == 1500
 
 
-def test_a_deadline_ends_a_search_between_pieces() -> None:
+def test_deadline_ends_a_search_after_a_chunk() -> None:
     ticks = iter(range(1000))
     growing = search()
     assert growing.grow(deadline_s=5, clock=lambda: float(next(ticks))) == 5 * 64
@@ -101,7 +101,7 @@ def test_a_deadline_ends_a_search_between_pieces() -> None:
         growing.grow()
 
 
-def test_one_tree_reaches_many_goals() -> None:
+def test_one_tree_reaches_several_goals() -> None:
     goals = np.array([GOAL, [0.15, -0.1, 0.03, 0.0], [0.0, 0.0, 0.05, 0.0], [0.1, 0.1, 0.1, -1.0]])
     growing = search(goals=goals)
     growing.grow(2500)
@@ -119,7 +119,7 @@ def test_one_tree_reaches_many_goals() -> None:
     assert tree.best_goal == int(tree.cost[1:5].argmin())
 
 
-def test_what_is_still_valid_survives_a_change() -> None:
+def test_recheck_keeps_the_valid_part_of_the_tree() -> None:
     growing = search(informed=False)
     growing.grow(1500)
     before = growing.tree
@@ -139,7 +139,7 @@ def test_what_is_still_valid_survives_a_change() -> None:
     assert growing.tree.cost[1] < 1.05 * fresh.tree.cost[1]
 
 
-def test_nothing_changes_where_nothing_has_changed() -> None:
+def test_recheck_with_the_same_constraint_keeps_all_nodes() -> None:
     growing = search()
     growing.grow(400)
     before = growing.tree
@@ -163,36 +163,36 @@ def test_nothing_changes_where_nothing_has_changed() -> None:
         {"near_factor": 1e300},
     ],
 )
-def test_numbers_that_compiled_code_cannot_bear_are_refused(options: dict) -> None:
+def test_goals_and_settings_out_of_domain_are_refused(options: dict) -> None:
     with pytest.raises(SettingsError):
         search(**options)
 
 
 @pytest.mark.parametrize("bound", [-np.inf, -1e300, np.nan])
-def test_bounds_of_a_search_must_be_finite(bound: float) -> None:
+def test_non_finite_bounds_are_refused(bound: float) -> None:
     with pytest.raises(SettingsError, match="bounds"):
-        RrtStar(WALL, ROOT, START, GOAL, np.array([bound, *LOWER[1:]]), UPPER, 0)
+        search_problem(WALL, ROOT, np.array([bound, *LOWER[1:]]), UPPER)
 
 
-def test_a_budget_that_never_ends_is_refused() -> None:
+def test_endless_budgets_are_refused() -> None:
     growing = search()
     for budget in ({"n_iterations": 10.5}, {"n_iterations": float("nan")}, {"deadline_s": float("nan")}):
         with pytest.raises(SettingsError, match="a search needs"):
             growing.grow(**budget)
         steps = {"n_steps": budget.get("n_iterations"), "deadline_s": budget.get("deadline_s", np.inf)}
         with pytest.raises(SettingsError, match="a refinement needs"):
-            refine_path(WALL, ROOT, np.array([START, GOAL]), LOWER, UPPER, seed=0, **steps)
+            refine_path(growing.problem, np.array([START, GOAL]), seed=0, **steps)
     assert growing.grow(np.int64(10)) == 10
 
 
-def test_a_refinement_refuses_what_is_not_finite() -> None:
+def test_refinement_refuses_invalid_paths() -> None:
     path = np.array([START, GOAL])
-    for poses, lower in ((path * np.nan, LOWER), (path[:, :3], LOWER), (path, LOWER * np.nan)):
-        with pytest.raises(SettingsError, match=r"refinement|poses"):
-            refine_path(WALL, ROOT, poses, lower, UPPER, 10, 0)
+    for poses in (path * np.nan, path[:, :3]):
+        with pytest.raises(SettingsError, match="poses"):
+            refine_path(search().problem, poses, 10, 0)
 
 
-def test_a_cost_refuses_weights_that_overflow_single_precision() -> None:
+def test_cost_refuses_weights_that_overflow_single_precision() -> None:
     for weights in ((np.inf, 0.0, 0.1), (1e300, 0.0, 0.1), (np.nan, 0.0, 0.1), (0.1, np.nan, 0.1), (0.1, 0.0, np.inf)):
         with pytest.raises(SettingsError):
             line_cost("area", *weights)
@@ -200,7 +200,7 @@ def test_a_cost_refuses_weights_that_overflow_single_precision() -> None:
         path_cost(ROOT, np.zeros((5, 3)))
 
 
-def test_ends_outside_the_bounds_are_refused() -> None:
+def test_ends_outside_the_bounds_and_unknown_near_sets_are_refused() -> None:
     with pytest.raises(SettingsError, match="within"):
         search(goals=np.array([0.3, 0.0, 0.03, 0.0]))
     with pytest.raises(SettingsError, match="near_set"):
@@ -208,12 +208,13 @@ def test_ends_outside_the_bounds_are_refused() -> None:
 
 
 @pytest.mark.parametrize("method", ["sampled", "exact", "continuous"])
-def test_the_certificate_leaves_the_tree_as_it_is(method: str, make_grid: Callable[..., OccupancyGrid]) -> None:
+def test_clearance_tables_do_not_change_the_tree(method: str, make_grid: Callable[..., OccupancyGrid]) -> None:
     field, trees = DistanceField.build(make_grid(2), 0.05), []
     for flag in (True, False):
         options = CheckSettings(method=method, use_clearance_tables=flag)
         test = segment_test(field, ToolBody(), 0.001, options, seed=3)
-        growing = RrtStar(test, ROOT, START * [1, 1, 1, 0], GOAL * [0.9, 1, 1, 0], LOWER, UPPER, 4)
+        problem = search_problem(test, ROOT, LOWER, UPPER)
+        growing = RrtStar(problem, START * [1, 1, 1, 0], GOAL * [0.9, 1, 1, 0], 4)
         growing.grow(500)
         trees.append(growing.tree)
     assert same(*trees)

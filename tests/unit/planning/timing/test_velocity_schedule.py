@@ -1,3 +1,5 @@
+"""Velocity scheduling and corner blending: limits of the motion, clearance at speed, and refusals."""
+
 import dataclasses
 from collections.abc import Callable
 
@@ -30,7 +32,7 @@ BODY = ToolBody()
 
 
 def check_limits(trajectory: Trajectory, limits: VelocitySettings) -> None:
-    """Rest to rest, and speed, yaw rate and acceleration from the poses alone, by differences."""
+    """Assert rest at both ends, and limits of speed, yaw rate and acceleration, computed by finite differences."""
     assert (trajectory.velocities[[0, -1]] == 0).all()
     rates = np.diff(trajectory.poses, axis=0) / np.diff(trajectory.time_s)[:, None]
     speeds = np.linalg.norm(rates[:, :3], axis=1) + BODY.rho_max_m * np.abs(rates[:, 3])
@@ -42,17 +44,17 @@ def check_limits(trajectory: Trajectory, limits: VelocitySettings) -> None:
     assert (np.abs(rates - middle) <= (2e-4, 2e-4, 2e-4, 2e-3)).all()
 
 
-def test_a_straight_way_is_a_trapezoid_in_closed_form() -> None:
+def test_straight_path_has_the_duration_of_a_trapezoidal_profile() -> None:
     path = PosePath(np.array([[-0.2, 0, 0.1, 0], [0.2, 0, 0.1, 0]]))
     trajectory, profile = schedule(path, FREE, LIMITS)
     check_limits(trajectory, LIMITS)
-    # v / a to speed up, as long to slow down, the rest at full speed
+    # v / a to accelerate, as long to decelerate, the rest at full speed
     assert trajectory.duration_s == pytest.approx(0.4 / 0.2 + 0.2 / 0.5, rel=0.002)
     assert profile.speed_mps.max() == pytest.approx(0.2)
     assert profile.arc_length_m[-1] == pytest.approx(0.4)
 
 
-def test_a_turn_on_the_spot_is_bounded_by_the_yaw_rate() -> None:
+def test_turn_on_the_spot_reaches_the_yaw_rate_limit() -> None:
     path = PosePath(np.array([[0, 0, 0.1, 0], [0, 0, 0.1, 1.5]]))
     trajectory, _ = schedule(path, FREE, dataclasses.replace(LIMITS, yaw_rate_radps=0.8))
     assert np.abs(trajectory.velocities[:, 3]).max() == pytest.approx(0.8, rel=1e-3)
@@ -61,7 +63,7 @@ def test_a_turn_on_the_spot_is_bounded_by_the_yaw_rate() -> None:
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 10**6), st.integers(3, 7))
-def test_any_polyline_is_followed_within_limits(seed: int, count: int) -> None:
+def test_random_polylines_are_followed_within_limits(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     poses = rng.uniform((-0.2, -0.2, 0.12, -1), (0.2, 0.2, 0.2, 1), (count, 4))
     trajectory, profile = schedule(PosePath(poses), FREE, LIMITS)
@@ -71,10 +73,10 @@ def test_any_polyline_is_followed_within_limits(seed: int, count: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_tracking_error_fits_the_clearance_ten_times_finer(
+def test_tracking_error_fits_the_clearance(
     seed: int, make_grid: Callable[..., OccupancyGrid], audit: Callable[..., float]
 ) -> None:
-    """Along the trajectory itself, against points of the body enlarged by gamma(v) at the speed of the moment."""
+    """Audited along a trajectory sampled ten times finer, with the body enlarged by gamma(v) at the current speed."""
     field = DistanceField.build(make_grid(seed, count=5), 0.05)
     result = plan(Pose(-0.14, 0, 0.03), Pose(0.14, 0, 0.03), field, PlannerSettings(n_iterations=600), seed)
     assert result.path is not None
@@ -94,7 +96,7 @@ def test_the_tracking_error_fits_the_clearance_ten_times_finer(
         assert audit(field.grid, 0.05, BODY, float(tracking.error_m(speed)), pose) == 0
 
 
-def test_a_path_too_close_is_refused_with_its_place() -> None:
+def test_path_too_close_to_obstacles_is_refused_and_located() -> None:
     p_occupied = np.zeros((80, 60, 10), np.float32)
     p_occupied[40:42, :30] = 1.0
     field = DistanceField.build(OccupancyGrid(p_occupied, np.zeros(3), 0.005), 0.05)
@@ -105,7 +107,7 @@ def test_a_path_too_close_is_refused_with_its_place() -> None:
     assert "gamma(v_min) is 6.50 mm" in str(caught.value)
 
 
-def test_standing_still_is_a_trajectory() -> None:
+def test_path_of_one_pose_gives_a_trajectory_at_rest() -> None:
     trajectory, profile = schedule(PosePath(np.array([[0, 0, 0.1, 0.5]])), FREE, LIMITS)
     assert trajectory.duration_s == 0
     assert isinstance(profile, SpeedProfile)
@@ -113,7 +115,7 @@ def test_standing_still_is_a_trajectory() -> None:
         schedule(PosePath(np.array([[0, 0, 0.001, 0.5]])), FREE, LIMITS)
 
 
-def test_a_refused_blend_is_halved_and_then_becomes_a_stop() -> None:
+def test_refused_blend_is_halved_and_finally_becomes_a_stop() -> None:
     corner = np.array([[0, 0, 0.1, 0], [0.1, 0, 0.1, 0], [0.1, 0.1, 0.1, 0]])
     near = blend_corners(corner, 0.01, 0.02, 0.0005, lambda arc: True, 5e-5)
     tight = blend_corners(corner, 0.01, 0.02, 0.0005, lambda arc: bool(arc[0, 0] > 0.097), 5e-5)
@@ -123,15 +125,15 @@ def test_a_refused_blend_is_halved_and_then_becomes_a_stop() -> None:
     assert 0 == gaps[2] < gaps[1] < 0.0015
     assert [len(curve.stops) for curve in (near, tight, never)] == [2, 2, 3]
     for curve in (near, tight):
-        places = np.linspace(0, curve.length[-1], 5001)
+        places = np.linspace(0, curve.arc_length[-1], 5001)
         _, slopes = curve.at(places)
         np.testing.assert_allclose(np.linalg.norm(slopes[:, :3], axis=1), 1, atol=2e-3)
         turns = np.linalg.norm(np.diff(slopes, axis=0), axis=1) / np.diff(places)
-        assert turns.max() <= curve.bend.max() * 1.02
+        assert turns.max() <= curve.curvature.max() * 1.02
 
 
 @pytest.mark.parametrize("weight_m2", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_rotation_weight_out_of_domain_is_refused(weight_m2: float) -> None:
+def test_rotation_weight_out_of_domain_is_refused(weight_m2: float) -> None:
     path = PosePath(np.array([[-0.2, 0, 0.1, 0], [0.2, 0, 0.1, 0]]))
     with pytest.raises(SettingsError, match="rotation_weight_m2"):
         schedule(path, FREE, LIMITS, rotation_weight_m2=weight_m2)
@@ -139,14 +141,14 @@ def test_a_rotation_weight_out_of_domain_is_refused(weight_m2: float) -> None:
         schedule_at_top_speed(path, lambda arc: True, LIMITS, rotation_weight_m2=weight_m2)
 
 
-def test_a_motion_that_takes_days_is_refused() -> None:
+def test_motion_longer_than_a_day_is_refused() -> None:
     path = PosePath(np.array([[-0.2, 0, 0.1, 0], [0.2, 0, 0.1, 0]]))
     with pytest.raises(PlanningError, match="raise v_min_mps"):
         schedule(path, FREE, dataclasses.replace(LIMITS, v_min_mps=1e-9, v_max_mps=1e-9))
 
 
 @pytest.mark.parametrize("changes", [{"spacing_m": 1e-300}, {"rate_hz": 1e300}])
-def test_a_resolution_that_no_memory_holds_is_refused(changes: dict) -> None:
+def test_resolution_that_exceeds_memory_is_refused(changes: dict) -> None:
     with pytest.raises(SettingsError, match=next(iter(changes))):
         dataclasses.replace(LIMITS, **changes)
 

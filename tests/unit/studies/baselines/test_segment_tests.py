@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deltasafe.errors import SettingsError
-from deltasafe.planning import grow_tree, line_cost
+from deltasafe.planning import grow_tree, line_cost, search_problem
 from deltasafe.planning.collision.segment_query import ask_segment
 from deltasafe.studies.baselines import GaussianCheckSettings, GaussianObstacle, gaussian_test
 from deltasafe.studies.baselines.obstacles import obstacle_arrays
@@ -176,7 +176,8 @@ def test_search_keeps_its_distance_and_culling_changes_nothing(method):
     paths = []
     for cull in (True, False):
         options = GaussianCheckSettings(method, delta_p_m=STEP_M, cull=cull)
-        tree = grow_tree(gaussian_test([obstacle], ROBOT_M, options), line_cost("root"), *ends, *bounds, 500, seed=1)
+        problem = search_problem(gaussian_test([obstacle], ROBOT_M, options), line_cost("root"), *bounds)
+        tree = grow_tree(problem, *ends, 500, seed=1)
         paths.append(tree.path())
     assert np.array_equal(*paths)
     dense = np.concatenate([a + np.linspace(0, 1, 200)[:, None] * (b - a) for a, b in itertools.pairwise(paths[0])])
