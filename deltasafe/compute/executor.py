@@ -88,8 +88,8 @@ class Executor(Protocol):
 def worker_lost_error(task: Task, reason: str = "") -> WorkerLostError:
     """Create the error of a task that lost its worker process on every attempt."""
     return WorkerLostError(
-        f"{task.name}: the process that ran it was lost {RETRIES + 1} times{reason and f' ({reason})'}; find out what ends "
-        "it (usually a lack of memory) and run again with fewer workers: finished work is kept"
+        f"{task.name}: the process that ran it was lost {RETRIES + 1} times{reason and f' ({reason})'}; find out what "
+        "ends it (usually a lack of memory) and run again with fewer workers: finished work is kept"
     )
 
 

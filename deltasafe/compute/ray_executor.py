@@ -186,6 +186,4 @@ def _warn_if_nothing_fits(ray: Any, cpus: int, gpus: float) -> None:
     """Log a warning if no machine is large enough: Ray waits for one without a message, since clusters grow."""
     nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
     if not any(node.get("CPU", 0) >= cpus and node.get("GPU", 0) >= gpus for node in nodes):
-        _log.warning(
-            "no machine of the Ray cluster has %d cores and %g GPUs; tasks wait until one joins", cpus, gpus
-        )
+        _log.warning("no machine of the Ray cluster has %d cores and %g GPUs; tasks wait until one joins", cpus, gpus)
