@@ -134,11 +134,12 @@ def prepare_home() -> pathlib.Path:
         WriteError: the home cannot be created.
     """
     root, database = home(), _checked_database()
-    if not (root.is_dir() or not root.exists()):
-        raise DataError(root, "is not a folder; set DELTASAFE_HOME to a folder")
     instance = root / "dagster"
     with translated_write_errors(instance):
-        instance.mkdir(parents=True, exist_ok=True)
+        try:
+            instance.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError) as error:
+            raise DataError(root, "is not a folder, or is below a file; set DELTASAFE_HOME to a folder") from error
     _write_dagster_yaml(instance / "dagster.yaml", database)
     os.environ["DELTASAFE_HOME"] = str(root)
     os.environ["DAGSTER_HOME"] = str(instance)

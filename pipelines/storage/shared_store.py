@@ -213,7 +213,7 @@ class SharedStore:
         except Exception as error:  # each storage library has its own exceptions
             reason = f"{type(error).__name__}: {error}".rstrip(": ")
             raise StoreAwayError(
-                f"{self._address(name)} cannot be reached ({reason}); check that the store runs and the keys give access"
+                f"{self._address(name)} cannot be reached ({reason}); check that the store runs and accepts the keys"
             ) from error
 
     def _in_parallel(self, call: Callable[[Any], None], items: Iterable[Any]) -> None:
