@@ -26,8 +26,8 @@ from tests.browser.clicks import (
 )
 
 SHOWN = {
-    "raw_hands": ["some of them"],
-    "test_hands": ["some of them"],
+    "raw_hands": ["examples"],
+    "test_hands": ["examples"],
     "augmented_hands": ["contact sheet"],
     "ensemble_member": ["loss"],
     "calibration_report": ["report"],
@@ -122,7 +122,7 @@ def test_a_page_shows_its_asset_in_pictures_that_the_browser_can_draw(page, scre
 @pytest.mark.parametrize("name", ["calibration_report", "safety_report"])
 def test_a_report_is_told_in_short_without_a_click(page, outcome, name):
     open_asset(page, name)
-    row = page.get_by_role("row").filter(has=page.get_by_text("in short", exact=True))
+    row = page.get_by_role("row").filter(has=page.get_by_text("summary", exact=True))
     told = row.filter(has_text=TOLD).inner_text()  # Markdown is drawn some time after its row
     assert "Show Markdown" not in told
 
