@@ -1,9 +1,9 @@
-"""What exists: Dagster asset and asset-check definitions only, thin sentences over `deltasafe`."""
+"""Dagster assets and asset checks: thin calls of `deltasafe`."""
 
 import warnings
 
 import dagster as dg
 
-# marked as beta and preview in Dagster 1.13; tests here run both for real: single-run backfills, partitioned checks
+# beta and preview features of Dagster 1.13 that the tests cover: single-run backfills, partitioned checks
 warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", message="Specifying a partitions_def on an AssetCheckSpec")

@@ -1,6 +1,6 @@
-"""What must hold at each hand-over; the checks before the freeze block what comes after them.
+"""Asset checks of the pipeline. Blocking checks stop the run before downstream assets are made.
 
-Each says in a sentence what it found, so that nobody has to guess why one failed.
+Every result states in one sentence what was found.
 """
 
 import pathlib
@@ -23,7 +23,8 @@ GateConfig = configurable(PRESET.gate)
     asset="test_hands",
     additional_ins={"raw_hands": dg.AssetIn("raw_hands")},
     blocking=True,
-    description="No image is in both sets, under whatever name: compared by decoded pixels.",
+    description="No test image is also a training image, compared by decoded pixels. A failure stops the run: the "
+    "evaluation would be too good.",
 )
 def no_image_in_both_sets(test_hands: pathlib.Path, raw_hands: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.errors import DataError
@@ -42,7 +43,8 @@ def no_image_in_both_sets(test_hands: pathlib.Path, raw_hands: pathlib.Path) -> 
 @dg.asset_check(
     asset="augmented_hands",
     blocking=True,
-    description="Every stored image is the one in its recipe, and nearly all of them show a hand.",
+    description="Stored images match the checksums in their recipes, at least 95 % of them show a hand, and hands "
+    "cover 2 to 60 % of the pixels. A failure stops the run before training.",
 )
 def images_match_their_recipes(augmented_hands: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.errors import DataError
@@ -54,50 +56,51 @@ def images_match_their_recipes(augmented_hands: pathlib.Path) -> dg.AssetCheckRe
     except DataError as error:
         return dg.AssetCheckResult(passed=False, description=str(error))
     with_hand = float((data.masks.reshape(data.n, -1).max(axis=1) > 0).mean())
-    hand_share = float(data.masks.mean())
-    passed = with_hand >= 0.95 and 0.02 <= hand_share <= 0.6
+    hand_fraction = float(data.masks.mean())
+    passed = with_hand >= 0.95 and 0.02 <= hand_fraction <= 0.6
     found = (
-        f"{with_hand:.1%} of the images show a hand, at least 95 % must; "
-        f"hands cover {hand_share:.1%} of them, 2 to 60 % is expected"
+        f"{with_hand:.1%} of the images show a hand (at least 95 % required); "
+        f"hands cover {hand_fraction:.1%} of the pixels (2 to 60 % required)"
     )
-    shares = {"images with a hand": round(with_hand, 4), "share of hand": round(hand_share, 4)}
-    return dg.AssetCheckResult(passed=passed, description=found, metadata=shares)
+    fractions = {"images with a hand": round(with_hand, 4), "fraction of hand pixels": round(hand_fraction, 4)}
+    return dg.AssetCheckResult(passed=passed, description=found, metadata=fractions)
 
 
 @dg.asset_check(
     asset="ensemble_member",
     partitions_def=members,
     blocking=True,
-    description="It learned: its loss fell to less than half of where it began.",
+    description="The training loss of the member fell to less than half of its first values. A failure stops the "
+    "run before calibration.",
 )
 def learned(context: dg.AssetCheckExecutionContext, ensemble_member: dict[str, pathlib.Path]) -> dg.AssetCheckResult:
-    falls = {name: _fall_of_loss(folder) for name, folder in sorted(ensemble_member.items())}
-    told = {name: f"{name} ended at {fall:.0%} of its first loss" for name, fall in falls.items()}
-    if len(falls) > 1:  # a run of several partitions: Dagster would take the result for none of them
-        for name, fall in falls.items():
+    ratios = {name: _loss_ratio(folder) for name, folder in sorted(ensemble_member.items())}
+    found = {name: f"{name} ended at {ratio:.0%} of its first loss" for name, ratio in ratios.items()}
+    if len(ratios) > 1:  # in a run of several partitions, Dagster assigns the result below to none of them
+        for name, ratio in ratios.items():
             evaluation = dg.AssetCheckEvaluation(
                 asset_key=dg.AssetKey("ensemble_member"),
                 check_name="learned",
-                passed=fall < _LEARNED,
-                metadata={"last loss / first loss": dg.FloatMetadataValue(round(fall, 4))},
-                description=told[name],
+                passed=ratio < _MAX_LOSS_RATIO,
+                metadata={"last loss / first loss": dg.FloatMetadataValue(round(ratio, 4))},
+                description=found[name],
                 blocking=True,
                 partition=name,
             )
-            context.op_execution_context.log_event(evaluation)  # type: ignore[arg-type] # what it also takes
-    failed = [name for name, fall in falls.items() if fall >= _LEARNED]
+            context.op_execution_context.log_event(evaluation)  # type: ignore[arg-type] # it accepts this, too
+    failed = [name for name, ratio in ratios.items() if ratio >= _MAX_LOSS_RATIO]
     return dg.AssetCheckResult(
         passed=not failed,
-        description="; ".join(told[name] for name in failed or falls),
-        metadata={"last loss / first loss": round(max(falls.values()), 4)},
+        description="; ".join(found[name] for name in failed or ratios),
+        metadata={"last loss / first loss": round(max(ratios.values()), 4)},
     )
 
 
-_LEARNED = 0.5
+_MAX_LOSS_RATIO = 0.5
 
 
-def _fall_of_loss(folder: pathlib.Path) -> float:
-    """Mean of the last losses over that of the first."""
+def _loss_ratio(folder: pathlib.Path) -> float:
+    """Return the mean of the last losses divided by the mean of the first."""
     from deltasafe.perception.training.member import Member
 
     losses = Member.load(folder).losses
@@ -108,7 +111,8 @@ def _fall_of_loss(folder: pathlib.Path) -> float:
 @dg.asset_check(
     asset="calibration_report",
     blocking=True,
-    description="The gate: accurate enough, and the test images support the delta that planning will use.",
+    description="Gate: pixel accuracy and mIoU reach their thresholds, and the test images support the delta of "
+    "planning. A failure means that the ensemble is not frozen; thresholds are settings of this check.",
 )
 def may_be_frozen(calibration_report: pathlib.Path, config: GateConfig) -> dg.AssetCheckResult:
     from deltasafe.perception.calibration.report import CalibrationReport, gate
@@ -118,7 +122,8 @@ def may_be_frozen(calibration_report: pathlib.Path, config: GateConfig) -> dg.As
     failures = gate(report, thresholds)
     supported, needed = report.smallest_supported_delta, report.settings.planning_delta
     found = (
-        "; ".join(failures) or f"accurate enough; the images support a delta of {supported}, planning needs {needed}"
+        "; ".join(failures)
+        or f"accuracy is sufficient; the images support a delta of {supported}, planning needs {needed}"
     )
     return dg.AssetCheckResult(passed=not failures, description=found, metadata=readable(report.figures()))
 
@@ -126,7 +131,8 @@ def may_be_frozen(calibration_report: pathlib.Path, config: GateConfig) -> dg.As
 @dg.asset_check(
     asset="frozen_ensemble",
     blocking=True,
-    description="The folder is intact, loads, and answers its golden image as it did when it was frozen.",
+    description="The frozen folder is intact, loads, and predicts the same probabilities for its golden image as "
+    "when it was frozen. A failure means that the folder is damaged or computes differently here.",
 )
 def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.errors import DataError
@@ -136,7 +142,7 @@ def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResu
         difference = golden_difference(load_ensemble(frozen_ensemble))
     except DataError as error:
         return dg.AssetCheckResult(passed=False, description=str(error))
-    found = f"every file is as it was written, and no probability differs by more than {difference:.1e}"
+    found = f"all files are intact, and no probability differs by more than {difference:.1e}"
     return dg.AssetCheckResult(
         passed=True, description=found, metadata={"largest difference in probability": difference}
     )
@@ -146,7 +152,8 @@ def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResu
     asset="occupancy_fields",
     automation_condition=ON_NEW_ASSET,
     additional_ins={"logged_scenes": dg.AssetIn("logged_scenes")},
-    description="In no scene would the planner take more than 5 % of the true hand for free.",
+    description="In every scene, at most 5 % of the pixels of the true hand have p_occupied up to delta, which the "
+    "planner treats as free. A failure is a warning: motions may come too close to the hand.",
 )
 def true_hands_are_seen(
     context: dg.AssetCheckExecutionContext, occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path
@@ -160,11 +167,8 @@ def true_hands_are_seen(
     return dg.AssetCheckResult(
         passed=missed[worst] <= 0.05,
         severity=dg.AssetCheckSeverity.WARN,
-        description=f"at most {missed[worst]:.1%} of a hand would be taken for free (in {worst})",
-        metadata={
-            "largest share of a hand taken for free": round(missed[worst], 4),
-            "share of the hand taken for free, by scene": missed,
-        },
+        description=f"the largest miss rate at delta {delta:g} is {missed[worst]:.1%} of a hand (in {worst})",
+        metadata={"largest miss rate at delta": round(missed[worst], 4), "miss rate at delta, by scene": missed},
     )
 
 
@@ -176,7 +180,8 @@ def true_hands_are_seen(
         "logged_scenes": dg.AssetIn("logged_scenes"),
     },
     blocking=True,
-    description="An audit that shares no code with the planner finds no unsafe point on any trajectory.",
+    description="An audit that shares no code with the planner finds no unsafe pose on any trajectory. A failure "
+    "means an error in the planner, and stops the run before execution.",
 )
 def audit_finds_no_unsafe_point(
     planned_motions: pathlib.Path, occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path
@@ -199,14 +204,15 @@ def audit_finds_no_unsafe_point(
     asset="executed_motions",
     automation_condition=ON_NEW_ASSET,
     blocking=True,
-    description="Every scene has an outcome, and every recording is complete and unaltered.",
+    description="Every scene has an outcome, and every recording is complete and matches its checksum. A failure "
+    "means that files were damaged.",
 )
 def recordings_are_intact(executed_motions: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.trials.executions import load_execution, load_outcomes
 
     outcomes = load_outcomes(executed_motions)
     samples = {o.scene_id: len(load_execution(executed_motions, o.scene_id).time_s) for o in outcomes if o.executed}
-    found = f"{len(samples)} recordings of {len(outcomes)} scenes are complete" if outcomes else "there is no outcome"
+    found = f"{len(samples)} recordings of {len(outcomes)} scenes are complete" if outcomes else "there are no outcomes"
     counts: Metadata = {"scenes": len(outcomes), "recordings": len(samples), "samples by scene": samples}
     return dg.AssetCheckResult(passed=bool(outcomes), description=found, metadata=counts)
 
@@ -214,7 +220,8 @@ def recordings_are_intact(executed_motions: pathlib.Path) -> dg.AssetCheckResult
 @dg.asset_check(
     asset="safety_report",
     automation_condition=ON_NEW_ASSET,
-    description="Every motion that was executed was completed, touched nothing, and was delta-safe at every pose.",
+    description="Every executed motion was completed, had no contact with hand or table, and was delta-safe at "
+    "every pose. A failure names the counts; the safety report shows the motions.",
 )
 def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.trials.safety_report import read_figures
@@ -234,18 +241,22 @@ def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
 @dg.asset_check(
     asset="safety_report",
     automation_condition=ON_NEW_ASSET,
-    description="The tracking error stayed within gamma(max(v, v_min)) at every pose.",
+    description="The tracking error was at most gamma(max(v, v_min)) at every pose. A failure is a warning: the arm "
+    "left the bound that planning assumes.",
 )
 def tracking_kept_its_bound(safety_report: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.trials.safety_report import read_figures
 
     figures = read_figures(safety_report)
     excess_m = figures.get("max_tracking_excess_m", 0.0)
-    share = figures.get("tracking_share_within_bound", 1.0)
-    left = f"it was left by at most {1000 * excess_m:.2f} mm, in {1 - share:.1%} of the time"
+    fraction = figures.get("tracking_share_within_bound", 1.0)
+    if excess_m > 0.0:
+        found = f"the error exceeded its bound by up to {1000 * excess_m:.2f} mm, in {1 - fraction:.1%} of the time"
+    else:
+        found = f"the error stayed at least {-1000 * excess_m:.2f} mm below its bound"
     return dg.AssetCheckResult(
         passed=excess_m <= 0.0,
         severity=dg.AssetCheckSeverity.WARN,
-        description=left if excess_m > 0.0 else f"the error stayed {-1000 * excess_m:.2f} mm or more below its bound",
-        metadata={"largest excess [mm]": round(1000 * excess_m, 4), "share of time within": round(share, 5)},
+        description=found,
+        metadata={"largest excess [mm]": round(1000 * excess_m, 4), "fraction of time within": round(fraction, 5)},
     )

@@ -1,4 +1,4 @@
-"""Settings of the library as Dagster config: the one place where a frozen dataclass becomes a form in the UI."""
+"""Convert the settings dataclasses of the library to Dagster config, which the UI shows as a form."""
 
 import dataclasses
 import inspect
@@ -13,17 +13,21 @@ __all__ = ["SettingsConfig", "configurable"]
 
 S = TypeVar("S")
 
-# an entry of the section "Attributes:" of a docstring; its further lines are indented deeper
+# an entry of the section "Attributes:" of a docstring, and its continuation lines
 _ENTRY = re.compile(r"^ {4}(\w+(?:, \w+)*): (.+(?:\n {8}.+)*)", re.MULTILINE)
 
 
 class SettingsConfig(dg.Config, Generic[S]):
-    """Base of the classes that `configurable` makes; `settings` gives the library's own object back."""
+    """Base class of the config classes that `configurable` creates."""
 
     _settings_class: typing.ClassVar[type]
 
     def settings(self) -> S:
-        """The frozen dataclass, validated by its own rules."""
+        """Return the settings dataclass, which validates its values.
+
+        Raises:
+            SettingsError: a value is invalid.
+        """
         values = {}
         for name in type(self).model_fields:
             value = getattr(self, name)
@@ -34,16 +38,16 @@ class SettingsConfig(dg.Config, Generic[S]):
 
 
 def configurable(default: S) -> type[SettingsConfig[S]]:
-    """A config class with the fields of the dataclass ``default`` and its values as defaults.
+    """Create a config class with the fields of the dataclass ``default`` and its values as defaults.
 
-    Nested dataclasses become nested config; unknown keys are refused by Dagster. What the docstring says of a field is
-    shown beside it in the launchpad.
+    Nested dataclasses become nested config classes. Dagster refuses unknown keys. The launchpad shows the description
+    of a field from the docstring of the dataclass.
     """
     settings_class = type(default)
-    hints, said = typing.get_type_hints(settings_class), _attributes(settings_class)
+    hints, descriptions = typing.get_type_hints(settings_class), _attribute_descriptions(settings_class)
     fields: dict[str, Any] = {}
     for field in dataclasses.fields(typing.cast(Any, default)):
-        value, description = getattr(default, field.name), said.get(field.name)
+        value, description = getattr(default, field.name), descriptions.get(field.name)
         if dataclasses.is_dataclass(value):
             nested = configurable(value)
             fields[field.name] = (nested, pydantic.Field(default_factory=nested, description=description))
@@ -54,16 +58,16 @@ def configurable(default: S) -> type[SettingsConfig[S]]:
         else:
             fields[field.name] = (hints[field.name], pydantic.Field(value, description=description))
     name = settings_class.__name__.removesuffix("Settings") + "Config"
-    made = pydantic.create_model(name, __base__=SettingsConfig, __doc__=settings_class.__doc__, **fields)
-    made._settings_class = settings_class
-    return made
+    config_class = pydantic.create_model(name, __base__=SettingsConfig, __doc__=settings_class.__doc__, **fields)
+    config_class._settings_class = settings_class
+    return config_class
 
 
-def _attributes(settings_class: type) -> dict[str, str]:
-    """What the docstrings of a class and of its bases say of each attribute."""
-    said: dict[str, str] = {}
+def _attribute_descriptions(settings_class: type) -> dict[str, str]:
+    """Read the descriptions of attributes from the docstrings of a class and its bases."""
+    descriptions: dict[str, str] = {}
     for base in reversed(settings_class.__mro__):
         section = inspect.cleandoc(base.__dict__.get("__doc__") or "").partition("\nAttributes:\n")[2]
         for names, text in _ENTRY.findall(section):
-            said |= dict.fromkeys(names.split(", "), " ".join(text.split()))
-    return said
+            descriptions |= dict.fromkeys(names.split(", "), " ".join(text.split()))
+    return descriptions

@@ -1,4 +1,4 @@
-"""What the assets ask of whoever runs them: a store of folders, a tracker of experiments, a registry of ensembles."""
+"""Interfaces between the assets and `pipelines`: store of folders, experiment tracker, registry of ensembles."""
 
 import dataclasses
 import pathlib
@@ -12,12 +12,12 @@ __all__ = ["Registry", "Store", "Tracker", "TrainedMember"]
 
 @dataclasses.dataclass(frozen=True)
 class Store:
-    """Where inputs lie and where everything that is made is written.
+    """Folders of inputs and results.
 
     Attributes:
         home: `$DELTASAFE_HOME`.
-        datasets: the packaged inputs, immutable.
-        refused: why nothing may be made in this run; empty if it may.
+        datasets: the packaged inputs, read-only.
+        refused: why this run must not start (invalid settings); empty if it may.
     """
 
     home: pathlib.Path
@@ -25,17 +25,17 @@ class Store:
     refused: str = ""
 
     def folder(self, asset: str, name: str) -> pathlib.Path:
-        """Folder of one version of an asset; the caller writes it atomically.
+        """Return the folder of one version of an asset. The caller writes it atomically.
 
         Raises:
-            SettingsError: the name, which may come from a partition's, would lead out of the asset's folder.
+            SettingsError: ``name`` (e.g. from a partition key) would lead out of the folder of the asset.
         """
         if pathlib.PurePath(name).name != name or name in ("", "..") or not name.isprintable():
             raise SettingsError(f"{name!r:.80} cannot be the name of a folder; give one without slashes")
         return self.home / "store" / asset / name
 
     def dataset(self, chosen: str, packaged: str) -> tuple[pathlib.Path, pathlib.Path | None]:
-        """Folder and registry of an input: the user's (without registry) or the packaged one."""
+        """Return folder and checksum registry of an input: the packaged one, or ``chosen`` (without a registry)."""
         if chosen:
             return pathlib.Path(chosen).expanduser(), None
         return self.datasets / packaged, self.datasets / "registry.sha256"
@@ -43,16 +43,16 @@ class Store:
 
 @dataclasses.dataclass(frozen=True)
 class TrainedMember:
-    """What is recorded of a member.
+    """The record of a trained member.
 
     Attributes:
-        name: of the member.
-        parameters: settings and seed, nested names joined by a dot.
-        losses: a step.
-        steps_per_epoch: so many of them are an epoch.
-        images_per_s: at the end of each epoch; empty if the member was found finished.
-        data: digests of what it was trained on, by name.
-        figure: the picture of its loss.
+        name: name of the member.
+        parameters: settings and seed; nested names are joined by a dot.
+        losses: loss of every step.
+        steps_per_epoch: number of steps per epoch.
+        images_per_s: training speed at the end of every epoch; empty if the member was already trained.
+        data: digests of the training data, by name.
+        figure: path of the figure of the loss.
     """
 
     name: str
@@ -65,10 +65,10 @@ class TrainedMember:
 
 
 class Tracker(Protocol):
-    """Experiment tracking: one parent run an ensemble, found by its identity; one child run a member.
+    """Experiment tracking: one parent run per ensemble, found by its identity, and one child run per member.
 
-    Nothing here raises: what cannot be recorded now is kept and recorded later. Each returns the address of the run's
-    page, or None where it has none yet.
+    A call that cannot be recorded now is queued. The methods return the address of the run's page, or None if the call
+    is queued.
     """
 
     def member(self, identity: str, member: TrainedMember) -> str | None:
@@ -77,20 +77,20 @@ class Tracker(Protocol):
     def report(
         self, identity: str, figures: Mapping[str, float], folder: pathlib.Path, data: Mapping[str, str]
     ) -> str | None:
-        """Record a calibration report on the test images ``data`` (digests by name)."""
+        """Record a calibration report; ``data`` are the digests of the test images, by name."""
 
     def register(self, identity: str, folder: pathlib.Path) -> str | None:
         """Register a frozen ensemble as a version of the model, with the alias `challenger`."""
 
 
 class Registry(Protocol):
-    """Which frozen ensemble is in use."""
+    """The registry of frozen ensembles, one of which is in use."""
 
     def champion(self) -> pathlib.Path | None:
-        """Folder of the ensemble in use; None if there is none yet."""
+        """Return the folder of the ensemble in use; None if there is none yet."""
 
     def objection(self, folder: pathlib.Path) -> str:
-        """Why a person took the ensemble ``folder`` out of use; empty if nobody did."""
+        """Return why a person demoted the ensemble ``folder``; empty if it was not demoted."""
 
     def decide(self, folder: pathlib.Path, promoted: bool, reason: str) -> pathlib.Path:
-        """Put ``folder`` in use, or write down why not; returns the folder of the ensemble in use."""
+        """Promote or refuse ``folder`` and record the reason; return the folder of the ensemble in use."""

@@ -1,4 +1,4 @@
-"""From logged scenes to executed motions, and the evidence that they were safe."""
+"""Motion: from logged scenes to executed motions and the safety report."""
 
 import pathlib
 
@@ -8,7 +8,7 @@ from assets.config import configurable
 from assets.interfaces import Store
 from assets.policies import ALL_CORES, ON_NEW_DATA, RETRY_TWICE, no_retry
 from assets.progress import progress_of
-from assets.reporting import Metadata, folder_facts, inline_picture, readable, with_opening
+from assets.reporting import Metadata, folder_facts, inline_picture, readable, report_with_summary
 from assets.run_settings import planning_delta
 from deltasafe import presets
 
@@ -22,7 +22,10 @@ ExecutionConfig = configurable(PRESET.execution)
 
 
 class ScenesConfig(dg.Config):
-    """`folder` holds scene folders with scene.json; empty for the packaged ones. `n_scenes` = 0 is all of them."""
+    """`folder` contains scene folders with scene.json. If it is empty, the packaged scenes are used.
+
+    `n_scenes` limits the number of scenes; 0 means all.
+    """
 
     folder: str = ""
     n_scenes: int = PRESET.n_scenes
@@ -44,7 +47,7 @@ class ExecutedConfig(dg.Config):
 
 
 class SafetyConfig(dg.Config):
-    """Films of the `n_films` executions that came closest to the hand; failures are filmed in any case."""
+    """Films show the `n_films` executions that came closest to the hand. Failures are always filmed."""
 
     n_films: int = PRESET.n_films
 
@@ -54,7 +57,10 @@ class SafetyConfig(dg.Config):
 def logged_scenes(
     context: dg.AssetExecutionContext, config: ScenesConfig, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
-    """Images of a table with a hand on it, with camera, start and goal; mask and mesh are for judging alone."""
+    """The selected scenes: image of a table with a hand, camera, start and goal. Each is checked.
+
+    Mask and mesh of the true hand are used only for evaluation. A failure names the file and what is wrong with it.
+    """
     from deltasafe.io.storage import sha256_of_file
     from deltasafe.trials.overview import tile_pictures
     from deltasafe.trials.selection import select_scenes
@@ -65,7 +71,7 @@ def logged_scenes(
     version = sha256_of_file(folder / "scenes.json")[:16]
     sheet = folder.with_name(f"{folder.name}-sheet.jpg")
     tile_pictures([scene.image_path for scene in scenes[:20]], sheet, columns=5)
-    facts = {"scenes": len(scenes), "scenes' folder": str(source), **folder_facts(folder, version)}
+    facts = {"scenes": len(scenes), "source folder": str(source), **folder_facts(folder, version)}
     metadata = {"scenes as logged": inline_picture(sheet), **facts}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
 
@@ -86,7 +92,10 @@ def occupancy_fields(
     champion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """What the frozen ensemble sees in each scene, extruded along the camera's rays to the height of the hand."""
+    """Occupancy probability of each scene: the prediction of the ensemble, extruded along camera rays to hand height.
+
+    Made from logged_scenes with the ensemble in use (champion).
+    """
     from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
     from deltasafe.trials.occupancy_fields import write_fields
     from deltasafe.trials.overview import overview
@@ -118,7 +127,10 @@ def planned_motions(
     champion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """A delta-safe path by SCC-RRT* and a velocity schedule for each scene, or the reason why there is none."""
+    """A delta-safe path and a velocity schedule per scene, planned by SCC-RRT*; or the reason why there is none.
+
+    Made from occupancy_fields. Scenes without a motion are listed and do not fail the asset.
+    """
     from deltasafe.perception.calibration.delta_support import Calibration
     from deltasafe.trials.motions import plan_scenes
     from deltasafe.trials.selection import load_selection
@@ -133,7 +145,7 @@ def planned_motions(
         "first motion": inline_picture(folder / first / "plan.png"),
         "scenes": len(scenes),
         "with a safe motion": len(scenes) - len(reasons),
-        **({"why not": reasons} if reasons else {}),
+        **({"reasons": reasons} if reasons else {}),
         **folder_facts(folder),
     }
     return dg.Output(folder, metadata=metadata)
@@ -157,7 +169,10 @@ def executed_motions(
     planned_motions: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """Every planned motion on the simulated iiwa under impedance control, beside the true hand."""
+    """Recordings of all planned motions on the simulated iiwa with impedance control, next to the true hand.
+
+    Made from planned_motions. Motions that were not executed are listed with the reason.
+    """
     from deltasafe.trials.executions import execute_scenes
     from deltasafe.trials.selection import load_selection
 
@@ -177,7 +192,7 @@ def executed_motions(
     metadata = {
         "executed": executed,
         "not executed": len(reasons),
-        **({"why not": reasons} if reasons else {}),
+        **({"reasons": reasons} if reasons else {}),
         **folder_facts(folder),
     }
     return dg.Output(folder, metadata=metadata)
@@ -201,7 +216,10 @@ def safety_report(
     executed_motions: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """Was what was executed delta-safe? Clearances to the true hand, contacts, tracking errors, films."""
+    """Report on the executed motions: delta-safety, clearance to the true hand, contacts, tracking errors, films.
+
+    Made from executed_motions. The checks executions_were_safe and tracking_kept_its_bound decide on its figures.
+    """
     from deltasafe.trials.selection import load_selection
     from deltasafe.trials.write_safety_report import write_safety_report
 
@@ -218,7 +236,7 @@ def safety_report(
     executed = folder / "executed.jpg"
     film = next((inline_picture(folder / scene.film, 20_000) for scene in report.scenes if scene.film), None)
     metadata: Metadata = {
-        **with_opening(folder / "summary.md"),
+        **report_with_summary(folder / "summary.md"),
         "plans": inline_picture(folder / "plans.jpg", 35_000),
         **({"executed": inline_picture(executed, 35_000)} if executed.is_file() else {}),
         **({} if film is None else {"film": film}),

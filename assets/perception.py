@@ -1,4 +1,4 @@
-"""From fifty labeled images to a frozen ensemble."""
+"""Perception: from labeled images to a frozen ensemble."""
 
 import dataclasses
 import pathlib
@@ -17,7 +17,7 @@ from assets.reporting import (
     inline_picture,
     page_link,
     readable,
-    with_opening,
+    report_with_summary,
 )
 from assets.run_settings import planning_delta
 from deltasafe import presets
@@ -40,13 +40,13 @@ PromotionConfig = configurable(PRESET.promotion)
 
 
 class HandsConfig(dg.Config):
-    """`folder` holds images/ and masks/ (255 = hand); empty for the packaged set."""
+    """`folder` contains images/ and masks/ (255 = hand). If it is empty, the packaged set is used."""
 
     folder: str = ""
 
 
 class AugmentedConfig(dg.Config):
-    """`backgrounds` is a folder of pictures without hands; empty for the packaged ones."""
+    """`backgrounds` is a folder of pictures without hands. If it is empty, the packaged ones are used."""
 
     augmentation: AugmentationConfig = AugmentationConfig()
     backgrounds: str = ""
@@ -54,7 +54,7 @@ class AugmentedConfig(dg.Config):
 
 
 class MemberConfig(dg.Config):
-    """Member m is trained with the seed `first_seed` + m; `workers` = 0 is one process a core."""
+    """Member m is trained with the seed `first_seed` + m. `workers` = 0 trains one member per core in parallel."""
 
     training: TrainingConfig = TrainingConfig()
     first_seed: int = 0
@@ -63,10 +63,10 @@ class MemberConfig(dg.Config):
 
 
 class ReportConfig(dg.Config):
-    """How the ensemble looks at the test images, and how its report is computed.
+    """Settings of inference and of the report.
 
-    `calibration_folder` holds further labeled images (images/, masks/) to fit temperature, delta and threshold on;
-    empty to fit and judge on the test images in turn.
+    `calibration_folder` contains further labeled images (images/, masks/) to fit temperature, delta and threshold on.
+    If it is empty, they are fitted and evaluated on the test images by cross-validation.
     """
 
     inference: InferenceConfig = InferenceConfig()
@@ -75,29 +75,35 @@ class ReportConfig(dg.Config):
     device: str = "auto"
 
 
-def _checked(config: HandsConfig, store: Store, packaged: str) -> dg.Output[pathlib.Path]:
+def _checked_hands(config: HandsConfig, store: Store, packaged: str) -> dg.Output[pathlib.Path]:
     from deltasafe.perception.data.labeled_images import LabeledImageSet
     from deltasafe.perception.data.labeled_images_figure import labeled_images_figure
 
     folder, registry = store.dataset(config.folder, packaged)
     hands = LabeledImageSet.load(folder, registry)
     sheet = inline_jpeg(labeled_images_figure(hands), "labeled images")
-    metadata = {"some of them": sheet, "images": len(hands), **folder_facts(folder, hands.digest[:16])}
+    metadata = {"examples": sheet, "images": len(hands), **folder_facts(folder, hands.digest[:16])}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
 @no_retry
 def raw_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
-    """The labeled training images: few, and of low variety. Checked file by file before anything uses them."""
-    return _checked(config, store, "hands/train")
+    """Labeled training images (image and mask). Every file is checked; the asset is the folder that contains them.
+
+    A failure names the file and what is wrong with it.
+    """
+    return _checked_hands(config, store, "hands/train")
 
 
 @dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
 @no_retry
 def test_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
-    """Labeled images of high variety. They enter at the calibration report and nowhere before."""
-    return _checked(config, store, "hands/test")
+    """Labeled test images. Only the calibration report, the comparison with the champion and the studies use them.
+
+    A failure names the file and what is wrong with it.
+    """
+    return _checked_hands(config, store, "hands/test")
 
 
 @dg.asset(
@@ -115,7 +121,10 @@ def augmented_hands(
     raw_hands: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """Twenty new images of each original: background replaced, seven more methods with p = 0.5 each."""
+    """New training images from each original: the background is replaced, and further methods apply at random.
+
+    Made from raw_hands and a folder of backgrounds. The contact sheet shows examples.
+    """
     from deltasafe.perception.data.augmented_set import augment_images
     from deltasafe.perception.data.contact_sheet import contact_sheet
     from deltasafe.perception.data.labeled_images import LabeledImageSet
@@ -150,14 +159,16 @@ def ensemble_member(
     tracker: dg.ResourceParam[Tracker],
     executor: dg.ResourceParam[Executor],
 ) -> dict[str, pathlib.Path]:
-    """Networks trained independently: own random head, own shuffling. An interrupted training is resumed."""
-    from assets.training import Training, train_and_record
+    """One trained network per partition, with its own random initialization and order of images.
 
-    everyone = members.get_partition_keys()
-    seeds = {name: config.first_seed + everyone.index(name) for name in sorted(context.partition_keys)}
-    settings = config.training.settings()
-    where = Training(config.device, config.workers, executor)
-    return train_and_record(context, seeds, augmented_hands, settings, where, store, tracker)
+    Made from augmented_hands. An interrupted training resumes from its checkpoint.
+    """
+    from assets.training import Training
+
+    names = members.get_partition_keys()
+    seeds = {name: config.first_seed + names.index(name) for name in sorted(context.partition_keys)}
+    training = Training(config.training.settings(), config.device, config.workers, store, tracker, executor)
+    return training.run(context, seeds, augmented_hands)
 
 
 @dg.asset(
@@ -178,7 +189,10 @@ def calibration_report(
     store: dg.ResourceParam[Store],
     tracker: dg.ResourceParam[Tracker],
 ) -> dg.Output[pathlib.Path]:
-    """May the mean of the members be called a probability? Judged on all pixels of the test images."""
+    """Report on the ensemble: accuracy, calibration and the smallest supported delta, on all pixels of the test images.
+
+    Made from all members and test_hands. The check may_be_frozen decides on its figures.
+    """
     from deltasafe.io.storage import sha256_of_file
     from deltasafe.perception.data.labeled_images import LabeledImageSet
     from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble
@@ -198,7 +212,7 @@ def calibration_report(
         progress=progress_of(context),
     )
     page = tracker.report(trained[0].ensemble_identity, report.figures(), folder, {"test hands": test.digest})
-    metadata = {**with_opening(folder / "report.md"), **readable(report.figures()), **page_link(page)}
+    metadata = {**report_with_summary(folder / "report.md"), **readable(report.figures()), **page_link(page)}
     version = dg.DataVersion(sha256_of_file(folder / "report.json")[:16])
     return dg.Output(folder, metadata={**metadata, **folder_facts(folder)}, data_version=version)
 
@@ -222,7 +236,10 @@ def frozen_ensemble(
     store: dg.ResourceParam[Store],
     tracker: dg.ResourceParam[Tracker],
 ) -> dg.Output[pathlib.Path]:
-    """The ensemble as a folder named by its content, for other projects; a version of the model, as challenger."""
+    """The ensemble as a folder for use in other projects, named by its content, and registered in MLflow as challenger.
+
+    Made from all members and the calibration report, only if the check may_be_frozen passed.
+    """
     from deltasafe.perception.data.labeled_images import LabeledImageSet
     from deltasafe.perception.evaluate_and_freeze import freeze_ensemble
     from deltasafe.perception.training.member import Member
@@ -255,14 +272,17 @@ def champion(
     store: dg.ResourceParam[Store],
     registry: dg.ResourceParam[Registry],
 ) -> dg.MaterializeResult:
-    """The ensemble in use: the new one if it is not worse than the one before on the same test images."""
+    """The ensemble in use: the new one, unless it is worse than the previous one on the same test images.
+
+    Made from frozen_ensemble, test_hands and the MLflow registry. The check new_ensemble_is_not_worse gives the reason.
+    """
     from deltasafe.perception.artifact.promotion import judge_challenger
     from deltasafe.perception.data.labeled_images import LabeledImageSet
 
     present, objection = registry.champion(), registry.objection(frozen_ensemble)
-    test, kept = LabeledImageSet.load(test_hands), store.home / "scores"
+    test, scores = LabeledImageSet.load(test_hands), store.home / "scores"
     settings, progress = config.settings(), progress_of(context)
-    verdict = judge_challenger(frozen_ensemble, present, test, kept, settings, objection, progress)
+    verdict = judge_challenger(frozen_ensemble, present, test, scores, settings, objection, progress)
     folder = registry.decide(frozen_ensemble, verdict.promoted, verdict.reason)
     return dg.MaterializeResult(
         value=folder,

@@ -1,4 +1,4 @@
-"""How assets are run: what is tried again, what never runs side by side, what follows when data change."""
+"""Policies of assets: retries, the pool of steps that use all cores, and automation conditions."""
 
 import functools
 from collections.abc import Callable
@@ -15,17 +15,17 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 ALL_CORES = "all_cores"
-"""Pool of the steps that use every core by themselves: one at a time, in whichever runs they are."""
+"""Pool of the steps that use all cores. They run one at a time, across all runs."""
 
 RETRY_TWICE = dg.RetryPolicy(max_retries=2, delay=10.0, backoff=dg.Backoff.EXPONENTIAL, jitter=dg.Jitter.PLUS_MINUS)
-"""For what fails by chance: a killed process, a full memory. A training goes on from its checkpoint."""
+"""For transient failures, e.g. a killed process or a lack of memory. A training resumes from its checkpoint."""
 
 _Condition = dg.AutomationCondition
 
-# a dependency that is asked for at once brings its checks along, and the run itself blocks if they fail
+# a dependency that is requested in the same run brings its checks, and that run stops if they fail
 _BLOCKING_CHECKS_PASSED = _Condition.all_deps_match(
     _Condition.all_checks_match(_Condition.check_passed(), blocking_only=True) | _Condition.will_be_requested()
-).with_label("blocking checks passed, or come first in the same run")
+).with_label("blocking checks passed, or run first in the same run")
 
 ON_NEW_DATA = (
     _Condition.any_deps_match(
@@ -35,28 +35,28 @@ ON_NEW_DATA = (
     & ~_Condition.any_deps_in_progress()
     & ~_Condition.in_progress()
     & _BLOCKING_CHECKS_PASSED
-).with_label("something that it is made from has changed")
-"""A dependency has other data than before (not merely been made again), and every blocking check on the way passed."""
+).with_label("an input has changed")
+"""A dependency has a new data version, and its blocking checks passed. Making the same data again does not count."""
 
-ON_NEW_ASSET = _Condition.eager().with_label("what it checks has been made")
-"""For checks: else they are left out where assets are asked for, and what comes after waits for them for ever."""
+ON_NEW_ASSET = _Condition.eager().with_label("the checked asset was made")
+"""For checks. Otherwise automation skips them, and all downstream assets wait for them forever."""
 
 
-def no_retry(made: Callable[P, T]) -> Callable[P, T]:
-    """Wrong input and wrong settings fail at once: another try would end in the same words.
+def no_retry(asset: Callable[P, T]) -> Callable[P, T]:
+    """Fail without retries on errors of the library (invalid input or settings); other exceptions are retried.
 
-    A run that its store refuses ends here as well, before anything is computed. An error in the resource itself would
-    be taken for bad luck, and tried again.
+    A run that the store refuses also fails here, before anything is computed. An exception in the resource itself
+    would be retried.
     """
 
-    @functools.wraps(made)
+    @functools.wraps(asset)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
-        for store in (given for given in (*args, *kwargs.values()) if isinstance(given, Store)):
+        for store in (argument for argument in (*args, *kwargs.values()) if isinstance(argument, Store)):
             if store.refused:
                 raise dg.Failure(store.refused, allow_retries=False)
         try:
-            return made(*args, **kwargs)
-        except (LockedError, WorkerLostError):  # these pass
+            return asset(*args, **kwargs)
+        except (LockedError, WorkerLostError):  # transient
             raise
         except DeltasafeError as error:
             raise dg.Failure(f"{type(error).__name__}: {error}", allow_retries=False) from error

@@ -1,4 +1,4 @@
-"""Progress of long steps in Dagster's event log, at most one line every few seconds."""
+"""Progress of long steps in Dagster's event log, with a limited number of lines."""
 
 import time
 
@@ -10,7 +10,7 @@ __all__ = ["progress_of"]
 
 
 def progress_of(context: dg.AssetExecutionContext, every_s: float = 10.0) -> Progress:
-    """A progress callable that writes to the log of ``context``: the first, the last, and some in between."""
+    """Create a progress callback that logs the first and the last report, and others every ``every_s`` seconds."""
     last_s = -every_s
 
     def report(done: int, total: int, message: str) -> None:

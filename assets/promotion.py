@@ -1,4 +1,4 @@
-"""How a decision about the ensemble in use is shown: as a table on the asset's page, and as a check with its reason."""
+"""Show the decision about a new ensemble: a table on the page of `champion`, and a check with the reason."""
 
 from typing import TYPE_CHECKING
 
@@ -12,12 +12,13 @@ __all__ = ["NOT_WORSE", "not_worse", "verdict_table"]
 NOT_WORSE = dg.AssetCheckSpec(
     "new_ensemble_is_not_worse",
     asset="champion",
-    description="The ensemble that was frozen last is in use; otherwise the reason why the one before still is.",
+    description="The new ensemble is not worse than the previous one on the same test images, and is now in use. A "
+    "failure is a warning: the previous ensemble stays in use, for the reason given.",
 )
 
 
 def not_worse(verdict: "Verdict") -> dg.AssetCheckResult:
-    """A warning and no error: a refused challenger is what the gate is for, and the chain goes on with the champion."""
+    """Create the check result. A refused challenger is a warning, so that the run continues with the champion."""
     return dg.AssetCheckResult(
         check_name=NOT_WORSE.name,
         passed=verdict.promoted,
@@ -28,11 +29,11 @@ def not_worse(verdict: "Verdict") -> dg.AssetCheckResult:
 
 
 def verdict_table(verdict: "Verdict") -> dg.MarkdownMetadataValue:
-    """Old and new scores, what is lost, and what may be lost."""
-    outcome = "is in use now" if verdict.promoted else f"stays challenger; `{verdict.champion}` stays in use"
+    """Show old and new scores, losses, and their margins."""
+    outcome = "is now in use" if verdict.promoted else f"stays challenger; `{verdict.champion}` stays in use"
     lines = [f"`{verdict.challenger}` {outcome}: {verdict.reason}.", ""]
     if verdict.losses:
-        lines += ["| | in use before | new | loss | upper bound | margin |", "|---|---|---|---|---|---|"]
+        lines += ["| | previous | new | loss | upper bound | margin |", "|---|---|---|---|---|---|"]
     for loss in verdict.losses:
         scores = f"{loss.old:.4f} | {loss.new:.4f}"
         lines.append(f"| {loss.measure} | {scores} | {loss.loss:+.2%} | {loss.bound:+.2%} | {loss.margin:.2%} |")

@@ -1,4 +1,4 @@
-"""Pictures, reports and facts as Dagster metadata: inlined and small, since the UI serves no files of ours."""
+"""Pictures, reports and facts as Dagster metadata. Pictures are inlined and small: the UI cannot serve files."""
 
 import base64
 import hashlib
@@ -14,27 +14,27 @@ import dagster as dg
 __all__ = [
     "Metadata",
     "folder_facts",
-    "in_short",
     "inline_jpeg",
     "inline_picture",
     "inline_report",
     "page_link",
     "readable",
-    "with_opening",
+    "report_with_summary",
+    "summary_of",
 ]
 
 Metadata: TypeAlias = dict[str, Any]
 
 PAGE_BYTES = 95_000
-"""Of a report with all its pictures: a page loads at once, and the event log stays small."""
-_LEAST_BYTES = 20_000
-_SEEN_DIFFERENCE = 5.0
-"""Of a picture and its few colors (mean of all channels, of 255): above it, a photograph looks like a poster."""
+"""Limit for a report with its pictures, so that pages load fast and the event log stays small."""
+_MIN_PICTURE_BYTES = 20_000
+_VISIBLE_DIFFERENCE = 5.0
+"""Largest acceptable mean difference (of 255) between a picture and its version with 48 colors."""
 _PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+)\)")
 
-_SHORT_CHARACTERS = 900
-_SHORT_COLUMNS = 60
-"""What the UI shows in place, and as wide as its column shows; longer Markdown is behind a click."""
+_SUMMARY_CHARACTERS = 900
+_SUMMARY_COLUMNS = 60
+"""Length and width up to which the UI shows Markdown in place; longer text needs a click."""
 
 _NAMES = {
     "pa": "pixel accuracy",
@@ -50,54 +50,54 @@ _UNITS = {"_mps": (1e3, "mm/s"), "_m": (1e3, "mm"), "_s": (1.0, "s"), "_rad": (1
 
 
 def inline_picture(path: pathlib.Path, limit_bytes: int = PAGE_BYTES) -> dg.MarkdownMetadataValue:
-    """A picture as Markdown, reduced until it fits; of a film its middle."""
+    """Return a picture, or the middle frame of a film, as Markdown of at most ``limit_bytes``."""
     return dg.MetadataValue.md(_inlined(path, path.stem, limit_bytes))
 
 
 def inline_jpeg(data: bytes, title: str) -> dg.MarkdownMetadataValue:
-    """A JPEG that was never a file."""
+    """Return JPEG data as Markdown."""
     return dg.MetadataValue.md(f"![{title}](data:image/jpeg;base64,{base64.b64encode(data).decode()})")
 
 
 def inline_report(path: pathlib.Path, limit_bytes: int = PAGE_BYTES) -> dg.MarkdownMetadataValue:
-    """A Markdown report with the pictures beside it; they share what its text leaves of the limit.
+    """Return a Markdown report with inlined pictures, which share the bytes that the text leaves.
 
-    Where there are too many of them for all to be readable, the last ones are named instead.
+    If there are too many pictures, the last ones are replaced by their paths.
     """
     text = path.read_text(encoding="utf-8")
     names = [match.group(2) for match in _PICTURE.finditer(text)]
-    room = limit_bytes - len(text.encode("utf-8"))
-    shown = names[: max(1, room // _LEAST_BYTES)]
-    share = room // max(1, len(shown))
+    n_bytes = limit_bytes - len(text.encode("utf-8"))
+    shown = names[: max(1, n_bytes // _MIN_PICTURE_BYTES)]
+    bytes_each = n_bytes // max(1, len(shown))
 
     def inline(match: re.Match[str]) -> str:
         title, name = match.groups()
         if name not in shown:
             return f"*{title}: `{path.parent / name}`*"
-        return _inlined(path.parent / name, title, share)
+        return _inlined(path.parent / name, title, bytes_each)
 
     return dg.MetadataValue.md(_PICTURE.sub(inline, text))
 
 
-def in_short(text: str) -> Metadata:
-    """The paragraphs that a Markdown report opens with, as far as the page shows them without a click."""
+def summary_of(text: str) -> Metadata:
+    """Return the first paragraphs of a Markdown report, as many as the page shows without a click."""
     opening = text.partition("\n## ")[0].split("\n\n")
     paragraphs, shown = [part.strip() for part in opening if part.strip() and part[:1] not in "#|!"], ""
     for paragraph in paragraphs:
-        broken = "  \n".join(textwrap.wrap(paragraph, _SHORT_COLUMNS, break_long_words=False))
-        if len(shown) + len(broken) > _SHORT_CHARACTERS:
+        wrapped = "  \n".join(textwrap.wrap(paragraph, _SUMMARY_COLUMNS, break_long_words=False))
+        if len(shown) + len(wrapped) > _SUMMARY_CHARACTERS:
             break
-        shown += ("\n\n" if shown else "") + broken
-    return {"in short": dg.MetadataValue.md(shown)} if shown else {}
+        shown += ("\n\n" if shown else "") + wrapped
+    return {"summary": dg.MetadataValue.md(shown)} if shown else {}
 
 
-def with_opening(path: pathlib.Path) -> Metadata:
-    """A Markdown report with its pictures, and before it what it says in short."""
-    return {**in_short(path.read_text(encoding="utf-8")), "report": inline_report(path)}
+def report_with_summary(path: pathlib.Path) -> Metadata:
+    """Return the summary of a Markdown report, and the report with inlined pictures."""
+    return {**summary_of(path.read_text(encoding="utf-8")), "report": inline_report(path)}
 
 
 def readable(figures: Mapping[str, float]) -> Metadata:
-    """Figures under names that need no explanation, lengths in millimeters, with four significant digits."""
+    """Return figures with descriptive names, lengths in millimeters, and four significant digits."""
     shown: Metadata = {}
     for name, value in figures.items():
         words, unit = name, ""
@@ -111,10 +111,10 @@ def readable(figures: Mapping[str, float]) -> Metadata:
 
 
 def folder_facts(folder: pathlib.Path, digest: str = "") -> Metadata:
-    """Where it lies, how large it is, and what it is: for every asset alike.
+    """Return path, size, number of files and digest of a folder, the same for all assets.
 
     Args:
-        digest: of its content, if it has one of its own; otherwise it is that of all files with their names.
+        digest: a known digest of the content; by default, a digest of all files and their names.
     """
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return {
@@ -135,7 +135,7 @@ def _digest_of(folder: pathlib.Path, files: list[pathlib.Path]) -> str:
 
 
 def page_link(address: str | None) -> Metadata:
-    """Link to the page of the experiment's run, if it has one by now."""
+    """Return a link to the page of the MLflow run; nothing if the run is not recorded yet."""
     return {"MLflow run": dg.MetadataValue.url(address)} if address else {}
 
 
@@ -143,8 +143,8 @@ def _inlined(path: pathlib.Path, title: str, limit_bytes: int) -> str:
     from PIL import Image
 
     data, kind = path.read_bytes(), path.suffix.lstrip(".").lower()
-    whole = kind in ("png", "jpg", "jpeg") and len(data) * 4 // 3 < limit_bytes - 100
-    if not whole:
+    fits = kind in ("png", "jpg", "jpeg") and len(data) * 4 // 3 < limit_bytes - 100
+    if not fits:
         with Image.open(path) as opened:
             opened.seek(getattr(opened, "n_frames", 1) // 2)
             picture = opened.convert("RGB")
@@ -153,7 +153,7 @@ def _inlined(path: pathlib.Path, title: str, limit_bytes: int) -> str:
 
 
 def _reduced(picture: Any, limit_bytes: int) -> tuple[bytes, str]:
-    """The widest that fits: few colors suit a plot, whose lettering JPEG would blur, and JPEG suits a photograph."""
+    """Return the widest version that fits: PNG with few colors for plots, whose text JPEG would blur, else JPEG."""
     for width in (1000, 800, 640, 500, 400, 320, 240, 160):
         smaller = picture.copy()
         smaller.thumbnail((width, 4 * width))
@@ -161,17 +161,17 @@ def _reduced(picture: Any, limit_bytes: int) -> tuple[bytes, str]:
         few_colors = smaller.quantize(48, method=1, dither=0)
         few_colors.save(plot, format="PNG", optimize=True)
         smaller.save(photograph, format="JPEG", quality=72, optimize=True)
-        made = [(photograph.getvalue(), "jpeg")]
-        if _mean_difference(smaller, few_colors.convert("RGB")) < _SEEN_DIFFERENCE:
-            made.append((plot.getvalue(), "png"))
-        data, kind = min(made, key=lambda one: len(one[0]))
+        candidates = [(photograph.getvalue(), "jpeg")]
+        if _mean_difference(smaller, few_colors.convert("RGB")) < _VISIBLE_DIFFERENCE:
+            candidates.append((plot.getvalue(), "png"))
+        data, kind = min(candidates, key=lambda candidate: len(candidate[0]))
         if len(data) <= limit_bytes:
             break
     return data, kind
 
 
 def _mean_difference(one: Any, other: Any) -> float:
-    """Of two pictures' channels, of 255."""
+    """Return the mean difference of all pixels and channels, of 255."""
     from PIL import ImageChops, ImageStat
 
     means = ImageStat.Stat(ImageChops.difference(one, other)).mean

@@ -1,4 +1,4 @@
-"""Settings that several steps of one run share: stated once in the run's configuration, used by all of them."""
+"""Settings of one step that other steps of the same run use as well."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,31 +15,31 @@ _SOURCES = {
 
 
 def planning_delta(run_config: Mapping[str, Any]) -> float:
-    """The delta that the motions of a run are planned with; report, gate, overview and checks refer to it.
+    """Return the delta of planning in a run, which report, gate, overview and checks use as well.
 
-    It is the delta of ``planned_motions`` if the run configures one, else ``planning_delta`` of
-    ``calibration_report``, else the preset's.
+    It is the delta of ``planned_motions``, else ``planning_delta`` of ``calibration_report``, else that of the preset.
     """
-    given = _given(run_config)
-    return next((given[step] for step in _SOURCES if step in given), _PRESET.motion.delta)
+    configured = _configured(run_config)
+    return next((configured[step] for step in _SOURCES if step in configured), _PRESET.motion.delta)
 
 
 def conflicting_deltas(run_config: Mapping[str, Any]) -> str:
-    """One sentence if the calibration report would refer to another delta than the motions use; else empty."""
-    given = _given(run_config)
-    reported, planned = given.get("calibration_report"), given.get("planned_motions", _PRESET.motion.delta)
+    """Return an error message if the calibration report would use another delta than planning; else empty."""
+    configured = _configured(run_config)
+    reported = configured.get("calibration_report")
+    planned = configured.get("planned_motions", _PRESET.motion.delta)
     if reported is None or reported == planned:
         return ""
     return (
         f"calibration_report: planning_delta is {reported:g}, but planned_motions plans with delta {planned:g}; "
-        "set motion.delta of planned_motions alone, the report follows it"
+        "set only motion.delta of planned_motions, which the report uses as well"
     )
 
 
-def _given(run_config: Mapping[str, Any]) -> dict[str, float]:
-    given = {}
+def _configured(run_config: Mapping[str, Any]) -> dict[str, float]:
+    configured = {}
     for step, (group, name) in _SOURCES.items():
         value = run_config.get("ops", {}).get(step, {}).get("config", {}).get(group, {}).get(name)
         if value is not None:
-            given[step] = float(value)
-    return given
+            configured[step] = float(value)
+    return configured

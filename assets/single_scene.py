@@ -1,4 +1,4 @@
-"""One newly logged scene at a time, each a partition: what the ensemble in use sees, the motion, its execution."""
+"""Single scene: plan and execute one logged scene at a time. Every scene is a partition."""
 
 import pathlib
 
@@ -8,7 +8,7 @@ from assets.interfaces import Store
 from assets.motion import ExecutionConfig, FieldConfig, PlannerConfig
 from assets.policies import ALL_CORES, RETRY_TWICE, no_retry
 from assets.progress import progress_of
-from assets.reporting import Metadata, folder_facts, inline_picture, readable, with_opening
+from assets.reporting import Metadata, folder_facts, inline_picture, readable, report_with_summary
 
 GROUP = "single_scene"
 OWNERS = ["team:motion"]
@@ -17,13 +17,16 @@ scenes = dg.DynamicPartitionsDefinition(name="scenes")
 
 
 class SceneConfig(dg.Config):
-    """`folder` holds a folder of the partition's name with scene.json in it; empty for the packaged scenes."""
+    """`folder` contains a folder with the name of the partition and scene.json in it.
+
+    If it is empty, the packaged scenes are used.
+    """
 
     folder: str = ""
 
 
 class SceneMotionConfig(dg.Config):
-    """How the field is made, and how the motion is planned in it."""
+    """Settings of the occupancy field and of planning. `seed` is the seed of the planner."""
 
     field: FieldConfig = FieldConfig()
     motion: PlannerConfig = PlannerConfig()
@@ -31,7 +34,7 @@ class SceneMotionConfig(dg.Config):
 
 
 class SceneExecutionConfig(dg.Config):
-    """`seed` draws the arm's friction."""
+    """Settings of the simulated execution. `seed` draws the friction of the arm."""
 
     execution: ExecutionConfig = ExecutionConfig()
     seed: int = 0
@@ -42,7 +45,10 @@ class SceneExecutionConfig(dg.Config):
 def logged_scene(
     context: dg.AssetExecutionContext, config: SceneConfig, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
-    """A scene that was logged just now: image, camera, start and goal, checked."""
+    """A newly logged scene: image, camera, start and goal, all checked.
+
+    A failure names the file and what is wrong with it.
+    """
     from deltasafe.io.storage import sha256_of_file
     from deltasafe.trials.selection import select_scene
 
@@ -71,7 +77,10 @@ def scene_motion(
     champion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """What the ensemble in use sees in the scene, and a delta-safe motion through it, or why there is none."""
+    """Occupancy field of the scene and a delta-safe motion in it; or the reason why there is none.
+
+    Made from logged_scene with the ensemble in use (champion).
+    """
     from deltasafe.trials.single_scene import plan_scene
 
     folder = store.folder("scene_motion", f"{context.partition_key}-{context.run_id[:8]}")
@@ -99,14 +108,17 @@ def scene_execution(
     scene_motion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """The motion on the simulated arm beside the true hand, and whether it was safe."""
+    """The motion on the simulated arm next to the true hand, with a safety report.
+
+    Made from scene_motion. The check execution_of_the_scene_was_safe decides on its figures.
+    """
     from deltasafe.trials.single_scene import execute_scene
 
     folder = store.folder("scene_execution", f"{context.partition_key}-{context.run_id[:8]}")
     report = execute_scene(
         logged_scene, scene_motion, folder, config.execution.settings(), config.seed, progress_of(context)
     )
-    shown = {**with_opening(folder / "report" / "summary.md"), **readable(report.figures())}
+    shown = {**report_with_summary(folder / "report" / "summary.md"), **readable(report.figures())}
     return dg.Output(folder, metadata={**shown, **folder_facts(folder)})
 
 
@@ -115,7 +127,8 @@ def scene_execution(
     additional_ins={"logged_scene": dg.AssetIn("logged_scene")},
     partitions_def=scenes,
     blocking=True,
-    description="An audit that shares no code with the planner finds no unsafe point on the trajectory.",
+    description="An audit that shares no code with the planner finds no unsafe pose on the trajectory. A failure means "
+    "an error in the planner, and stops the run before execution.",
 )
 def audit_of_the_scene(scene_motion: pathlib.Path, logged_scene: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.trials.motions import audit_motions
@@ -124,14 +137,15 @@ def audit_of_the_scene(scene_motion: pathlib.Path, logged_scene: pathlib.Path) -
     audits = audit_motions(load_selection(logged_scene), scene_motion / "fields", scene_motion / "motions")
     unsafe = sum(audit.unsafe_poses for audit in audits.values())
     poses = sum(audit.poses for audit in audits.values())
-    description = f"{unsafe} of {poses} poses are unsafe" if audits else "there is no motion to look at"
+    description = f"{unsafe} of {poses} poses are unsafe" if audits else "there is no motion to audit"
     return dg.AssetCheckResult(passed=unsafe == 0, description=description, metadata={"poses": poses})
 
 
 @dg.asset_check(
     asset="scene_execution",
     partitions_def=scenes,
-    description="What was executed was completed, touched nothing, and was delta-safe at every pose.",
+    description="The executed motion was completed, had no contact with hand or table, and was delta-safe at every "
+    "pose. The safety report shows why it failed.",
 )
 def execution_of_the_scene_was_safe(scene_execution: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.trials.safety_report import read_figures

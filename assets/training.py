@@ -1,8 +1,9 @@
-"""Members trained, seen in Dagster's log, and recorded with the tracker."""
+"""Train members, log their progress in Dagster, and record them with the tracker."""
 
 import dataclasses
 import pathlib
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import dagster as dg
 
@@ -12,89 +13,112 @@ from assets.reporting import folder_facts, inline_picture, page_link
 from deltasafe.compute.executor import Executor
 from deltasafe.perception.settings import TrainingSettings
 
-__all__ = ["Training", "train_and_record"]
+if TYPE_CHECKING:
+    from deltasafe.perception.training.member import Member
+    from deltasafe.perception.training.train_member import StepReport
+
+__all__ = ["Training"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Training:
-    """Where members are trained, and how many side by side."""
+    """Settings of a training, and the objects that it uses.
 
+    Attributes:
+        settings: settings of the members.
+        device: device of torch, or ``auto``.
+        workers: number of members that are trained in parallel; 0 means one per core.
+        store, tracker, executor: see `assets.interfaces` and `deltasafe.compute.executor`.
+    """
+
+    settings: TrainingSettings
     device: str
     workers: int
+    store: Store
+    tracker: Tracker
     executor: Executor
 
+    def run(
+        self, context: dg.AssetExecutionContext, seeds: Mapping[str, int], augmented: pathlib.Path
+    ) -> dict[str, pathlib.Path]:
+        """Train one member per seed; return their folders by name.
 
-def train_and_record(
-    context: dg.AssetExecutionContext,
-    seeds: Mapping[str, int],
-    augmented: pathlib.Path,
-    settings: TrainingSettings,
-    where: Training,
-    store: Store,
-    tracker: Tracker,
-) -> dict[str, pathlib.Path]:
-    """Folders of the members by name.
+        A folder is named by a digest of settings, data and seed, so a finished member is found again.
+        """
+        from deltasafe.perception.data.augmented_set import AugmentedSet
+        from deltasafe.perception.training.train_ensemble import MemberJob, train_members
+        from deltasafe.perception.training.train_member import training_identity
 
-    A folder's name is the digest of what determines the member, so a second run finds it finished.
-    """
-    from deltasafe.perception.data.augmented_set import AugmentedSet
-    from deltasafe.perception.training.loss_figure import loss_curves
-    from deltasafe.perception.training.train_ensemble import MemberJob, train_members
-    from deltasafe.perception.training.train_member import StepReport, training_identity
+        data = AugmentedSet.load(augmented)
+        jobs = [
+            MemberJob(
+                name,
+                seed,
+                self.store.folder("ensemble_member", training_identity(data, self.settings, seed)[:16]),
+            )
+            for name, seed in seeds.items()
+        ]
+        log = _StepLog(context, self.settings, seeds)
+        trained = train_members(
+            jobs,
+            augmented,
+            self.settings,
+            device=self.device,
+            workers=self.workers,
+            on_step=log.on_step,
+            executor=self.executor,
+        )
+        for name, member in trained.items():
+            self._record(context, name, member, log.images_per_s[name], data.digest)
+        return {name: member.folder for name, member in trained.items()}
 
-    data = AugmentedSet.load(augmented)
-    jobs = [
-        MemberJob(name, seed, store.folder("ensemble_member", training_identity(data, settings, seed)[:16]))
-        for name, seed in seeds.items()
-    ]
-    said = {name: progress_of(context, every_s=20.0) for name in seeds}
-    speeds: dict[str, dict[int, float]] = {name: {} for name in seeds}
+    def _record(
+        self,
+        context: dg.AssetExecutionContext,
+        name: str,
+        member: "Member",
+        images_per_s: Mapping[int, float],
+        data_digest: str,
+    ) -> None:
+        from deltasafe.perception.training.loss_figure import loss_curves
 
-    def on_step(name: str, step: StepReport) -> None:
-        speeds[name][step.epoch] = step.images_per_s
-        left_min = (step.n_steps - step.step) * settings.batch_size / step.images_per_s / 60
-        text = f"{name}: epoch {step.epoch} of {settings.epochs}, loss {step.loss:.3f}"
-        said[name](step.step, step.n_steps, f"{text}, {step.images_per_s:.1f} images/s, {left_min:.1f} min left")
-
-    trained = train_members(
-        jobs,
-        augmented,
-        settings,
-        device=where.device,
-        workers=where.workers,
-        on_step=on_step,
-        executor=where.executor,
-    )
-    for name, member in trained.items():
         losses, curve, per_epoch = member.losses, member.folder / "loss.png", member.record["steps_per_epoch"]
         loss_curves({name: losses}, per_epoch, curve)
-        page = tracker.member(
+        parameters = {**_flat(self.settings), "seed": member.seed}
+        speeds = [speed for _, speed in sorted(images_per_s.items())]
+        page = self.tracker.member(
             member.ensemble_identity,
-            TrainedMember(
-                name,
-                {**_flat(settings), "seed": member.seed},
-                losses,
-                per_epoch,
-                [speed for _, speed in sorted(speeds[name].items())],
-                {"augmented hands": data.digest},
-                curve,
-            ),
+            TrainedMember(name, parameters, losses, per_epoch, speeds, {"augmented hands": data_digest}, curve),
         )
         final = round(sum(losses[-20:]) / len(losses[-20:]), 4)
-        metadata = {
-            "loss": inline_picture(curve),
-            "final loss": final,
-            "steps": len(losses),
-            "seed": member.seed,
-        }
+        metadata = {"loss": inline_picture(curve), "final loss": final, "steps": len(losses), "seed": member.seed}
         facts = folder_facts(member.folder, member.record["weights_sha256"][:16])
         context.add_asset_metadata({**metadata, **page_link(page), **facts}, partition_key=name)
         context.log.info(f"{name}: finished after {len(losses)} steps, loss {final:.3f}")
-    return {name: member.folder for name, member in trained.items()}
+
+
+class _StepLog:
+    """Logs steps with their speed and the remaining time.
+
+    Attributes:
+        images_per_s: training speed at the end of every epoch, by member and epoch.
+    """
+
+    def __init__(self, context: dg.AssetExecutionContext, settings: TrainingSettings, seeds: Mapping[str, int]) -> None:
+        self._settings = settings
+        self._progress = {name: progress_of(context, every_s=20.0) for name in seeds}
+        self.images_per_s: dict[str, dict[int, float]] = {name: {} for name in seeds}
+
+    def on_step(self, name: str, step: "StepReport") -> None:
+        self.images_per_s[name][step.epoch] = step.images_per_s
+        left_min = (step.n_steps - step.step) * self._settings.batch_size / step.images_per_s / 60
+        text = f"{name}: epoch {step.epoch} of {self._settings.epochs}, loss {step.loss:.3f}"
+        text = f"{text}, {step.images_per_s:.1f} images/s, {left_min:.1f} min left"
+        self._progress[name](step.step, step.n_steps, text)
 
 
 def _flat(settings: TrainingSettings) -> dict[str, object]:
-    """Parameters for the tracker, nested names joined by a dot."""
+    """Flatten nested settings; their names are joined by a dot."""
     flat: dict[str, object] = {}
     for key, value in dataclasses.asdict(settings).items():
         flat |= {f"{key}.{k}": v for k, v in value.items()} if isinstance(value, dict) else {key: value}

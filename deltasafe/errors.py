@@ -1,4 +1,4 @@
-"""Errors that callers can catch by kind; each message names the thing, the value and what to do."""
+"""Exceptions of this package. Each message names the object, the value and the remedy."""
 
 import pathlib
 
@@ -16,15 +16,15 @@ __all__ = [
 
 
 class DeltasafeError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base class of all errors that this package raises on purpose."""
 
 
 class SettingsError(DeltasafeError, ValueError):
-    """A setting is outside its domain."""
+    """A setting is outside its valid range."""
 
 
 class _PathError(DeltasafeError):
-    """About a file or folder.
+    """Error about a file or folder.
 
     Attributes:
         path: the file or folder.
@@ -41,7 +41,7 @@ class _PathError(DeltasafeError):
 
 
 class DataError(_PathError, ValueError):
-    """A file or folder given as input is unusable."""
+    """A file or folder that was given as input is unusable."""
 
 
 class ArtifactError(DataError):
@@ -49,20 +49,20 @@ class ArtifactError(DataError):
 
 
 class WriteError(_PathError, OSError):
-    """A file or folder cannot be written; what was there before is as it was."""
+    """A file or folder cannot be written; an earlier version of it is unchanged."""
 
 
 class LockedError(_PathError, RuntimeError):
-    """A folder is in use by another process, which the message names."""
+    """A folder is in use by another process; the message names the process."""
 
 
 class PlanningError(DeltasafeError, ValueError):
-    """A path or trajectory cannot be made safe; the message names the place."""
+    """A path or trajectory cannot be made safe; the message names the place along it."""
 
 
 class StaleImageError(DeltasafeError, RuntimeError):
-    """The image that a motion was planned from no longer shows the scene, or may not; take a new one and plan again."""
+    """The image behind a motion may no longer show the scene; take a new image and plan again."""
 
 
 class WorkerLostError(DeltasafeError, RuntimeError):
-    """A process that did a part of the work was lost again and again; what is finished is kept, and found."""
+    """A worker process was lost on every attempt; finished work is kept."""

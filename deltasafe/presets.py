@@ -1,4 +1,4 @@
-"""Three named collections of settings, in one place: `smoke`, `default` and `paper`."""
+"""Presets: the named settings of the whole pipeline, `smoke`, `default` and `paper`."""
 
 import dataclasses
 import os
@@ -23,12 +23,12 @@ VARIABLE = "DELTASAFE_PRESET"
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
-    """Settings of the whole chain.
+    """Settings of the whole pipeline.
 
     Attributes:
-        n_members: M.
-        n_scenes: logged scenes that are planned and executed, in the order of their names; 0 is all.
-        n_films: executions that are filmed, the shortest clearances first; every failure is filmed too.
+        n_members: number of ensemble members M.
+        n_scenes: number of logged scenes to plan and execute, in the order of their names; 0 means all.
+        n_films: number of executions to film, smallest clearance first; failures are always filmed.
     """
 
     n_members: int = 5
@@ -56,7 +56,7 @@ class Preset:
 
 
 PRESETS = {
-    # seconds: shows that every step runs; what it learns is not worth a look, so its gate is open
+    # seconds; only checks that the pipeline runs: the model is undertrained, so the gate accepts everything
     "smoke": Preset(
         n_members=2,
         augmentation=AugmentationSettings(n_variants=2, width=96, height=72),
@@ -77,9 +77,9 @@ PRESETS = {
         n_scenes=2,
         n_films=1,
     ),
-    # half an hour on two cores
+    # about half an hour on two cores
     "default": Preset(study=StudySettings(comparison_width=160, comparison_epochs=2)),
-    # the paper's network, image size and training recipe (decision 6), M = 10: a GPU's work
+    # the paper's network, image size, training recipe (decision 6) and M = 10; needs a GPU
     "paper": Preset(
         n_members=10,
         augmentation=AugmentationSettings(width=384, height=288, supersampling=1),
@@ -96,16 +96,16 @@ PRESETS = {
         inference=InferenceSettings(384, 288),
     ),
 }
-"""The presets by name: `smoke`, `default` and `paper`."""
+"""Presets by name."""
 
 
 def active() -> Preset:
-    """The preset that the environment variable `DELTASAFE_PRESET` names; `default` if it is unset or empty.
+    """Return the preset named by `DELTASAFE_PRESET`; `default` if the variable is unset or empty.
 
     Raises:
-        SettingsError: there is no preset of that name.
+        SettingsError: no preset has that name.
     """
     name = os.environ.get(VARIABLE) or "default"
     if name not in PRESETS:
-        raise SettingsError(f"{VARIABLE}={name!r} names no preset; choose one of {', '.join(PRESETS)}")
+        raise SettingsError(f"{VARIABLE}={name!r} is not a preset; choose one of {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -1,2 +1,2 @@
--- beside that of Dagster, which POSTGRES_DB names; they share table names, so each needs its own
+-- MLflow and Dagster (POSTGRES_DB) use the same table names, so each needs its own database
 CREATE DATABASE mlflow;

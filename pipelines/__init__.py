@@ -1,1 +1,1 @@
-"""How it runs: definitions, resources, storage, jobs, schedules and presets."""
+"""How the assets run: definitions, jobs, sensors, storage, tracking and commands."""

@@ -1,8 +1,6 @@
-"""The one door: everything that Dagster needs to know, built for a home."""
+"""Build Dagster's definitions for a home."""
 
 import pathlib
-from collections.abc import Mapping
-from typing import Any
 
 import dagster as dg
 
@@ -17,7 +15,7 @@ import assets.tracking_study
 from pipelines import jobs
 from pipelines.automation.sensors import all_sensors
 from pipelines.commands.console import progress_console
-from pipelines.executors import ExecutorResource, steps_on_ray
+from pipelines.executors import ExecutorResource, ray_step_executor
 from pipelines.home import DATASETS, home
 from pipelines.resources import RegistryResource, StoreResource, TrackerResource
 from pipelines.storage.io_manager import FolderPointers
@@ -25,33 +23,19 @@ from pipelines.supervision import supervised
 
 __all__ = ["build_defs"]
 
-# heavy libraries are imported once, in the server that the steps are forked from
+# imported once, by the server process that forks the steps
 _PRELOADED = ["pipelines.build", "torch"]
 
 
-def build_defs(
-    root: pathlib.Path | None = None, overrides: Mapping[str, Any] | None = None, max_concurrent: int = 2
-) -> dg.Definitions:
-    """All definitions, with resources for the home ``root``.
-
-    Args:
-        root: `$DELTASAFE_HOME` unless given.
-        overrides: resources by key that replace the usual ones (tests pass a tracker in memory).
-        max_concurrent: steps that run side by side.
+def build_defs(root: pathlib.Path | None = None) -> dg.Definitions:
+    """Build all definitions, with resources for the home ``root`` (by default `$DELTASAFE_HOME`).
 
     Raises:
-        SettingsError: the environment asks for an executor that there is not.
+        SettingsError: an environment variable is invalid, or its executor is not installed.
     """
     root = root or home()
-    resources: dict[str, Any] = {
-        "io_manager": FolderPointers(home=str(root)),
-        "store": StoreResource(home=str(root), datasets=str(DATASETS)),
-        "tracker": TrackerResource(home=str(root)),
-        "registry": RegistryResource(home=str(root)),
-        "executor": ExecutorResource.chosen(),
-    }
-    executor = steps_on_ray() or dg.multiprocess_executor.configured(
-        {"max_concurrent": max_concurrent, "start_method": {"forkserver": {"preload_modules": _PRELOADED}}}
+    executor = ray_step_executor() or dg.multiprocess_executor.configured(
+        {"max_concurrent": 2, "start_method": {"forkserver": {"preload_modules": _PRELOADED}}}
     )
     return dg.Definitions(
         assets=dg.load_assets_from_modules(
@@ -78,7 +62,13 @@ def build_defs(
         ],
         schedules=[jobs.retraining],
         sensors=all_sensors(root),
-        resources={**resources, **(overrides or {})},
+        resources={
+            "io_manager": FolderPointers(home=str(root)),
+            "store": StoreResource(home=str(root), datasets=str(DATASETS)),
+            "tracker": TrackerResource(home=str(root)),
+            "registry": RegistryResource(home=str(root)),
+            "executor": ExecutorResource.from_environment(),
+        },
         executor=supervised(executor),
         loggers={"console": progress_console},
     )

@@ -1,8 +1,8 @@
-"""What `dagster`, `dg` and `workspace.yaml` load."""
+"""The code location that `dagster`, `dg` and `workspace.yaml` load."""
 
 import dagster as dg
 
-# imported here and not below: the checkout is on the path only while this module is being loaded
+# imported at module level: the checkout is on the path only while this module is being loaded
 from pipelines.build import build_defs
 from pipelines.home import set_quiet_environment
 
@@ -11,5 +11,5 @@ set_quiet_environment()
 
 @dg.definitions
 def defs() -> dg.Definitions:
-    """The definitions for `$DELTASAFE_HOME` and the preset of `$DELTASAFE_PRESET`."""
+    """Return the definitions for `$DELTASAFE_HOME` and `$DELTASAFE_PRESET`."""
     return build_defs()

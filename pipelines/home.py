@@ -1,4 +1,4 @@
-"""`$DELTASAFE_HOME`: everything that is made lies below it, Dagster's and MLflow's records included.
+"""The home folder `$DELTASAFE_HOME`: all results, and the records of Dagster and MLflow, are below it.
 
 A team keeps Dagster's records in PostgreSQL instead: `$DELTASAFE_DATABASE` (docs/how-to/team.md).
 """
@@ -7,9 +7,12 @@ import importlib.util
 import os
 import pathlib
 
+import yaml
+
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_file
-from deltasafe.presets import VARIABLE
+from deltasafe.io.write_errors import translated_write_errors
+from deltasafe.presets import VARIABLE, active
 
 __all__ = [
     "DATABASE_VARIABLE",
@@ -38,7 +41,7 @@ nux:
 python_logs:
   python_log_level: INFO
   managed_python_loggers: [deltasafe]
-# steps of one pool never run side by side, in whichever runs they are: each of them uses all cores
+# steps of one pool run one at a time, across all runs: each of them uses all cores
 concurrency:
   pools:
     default_limit: 1
@@ -51,14 +54,14 @@ run_monitoring:
   cancel_timeout_seconds: 120
   poll_interval_seconds: 30
   free_slots_after_run_end_seconds: 60
-# a run whose process died is tried again where its tag dagster/max_retries says so (the unattended ones)
+# a run whose process died is retried if its tag dagster/max_retries says so (runs of sensors and the schedule)
 run_retries:
   enabled: true
   max_retries: 0
   retry_on_asset_or_op_failure: false
 """
 
-# the address, which holds a password, stays in the environment
+# the address contains a password, so it stays in the environment
 _POSTGRES = f"""\
 storage:
   postgres:
@@ -67,85 +70,113 @@ storage:
 """
 _DIALECT = "postgresql+psycopg2://"
 
-_EARLIER = ("telemetry:\n  enabled: false\nnux:\n  enabled: false\npython_logs:\n  python_log_level: INFO\n",)
+_FIRST_DAGSTER_YAML = """\
+telemetry:
+  enabled: false
+nux:
+  enabled: false
+python_logs:
+  python_log_level: INFO
+"""
+
+_ENVIRONMENT = {
+    "DAGSTER_DISABLE_TELEMETRY": "1",
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "NO_ALBUMENTATIONS_UPDATE": "1",
+    # otherwise MLflow's server starts ten processes for jobs, which this project does not use
+    "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+    "MLFLOW_LOGGING_LEVEL": "ERROR",
+    "MLFLOW_ALLOW_PICKLE_DESERIALIZATION": "false",
+    # fail fast if a server does not answer: the next call retries, and MLflow itself would retry for minutes
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",
+}
 
 
 def home() -> pathlib.Path:
-    """`$DELTASAFE_HOME`; by default `.deltasafe/` in the checkout, and a folder of its own in it for other presets.
+    """Return `$DELTASAFE_HOME`; by default `.deltasafe/` in the checkout, or `.deltasafe/PRESET` for other presets.
 
-    A smoke run must not replace what the default preset has made and registered.
+    The presets have separate homes, so that a smoke run does not replace results of the default preset.
+
+    Raises:
+        SettingsError: `$DELTASAFE_PRESET` is not a preset.
     """
+    active()
     preset = os.environ.get(VARIABLE) or "default"
-    usual = PROJECT / ".deltasafe" / ("" if preset == "default" else preset)
-    return pathlib.Path(os.environ.get("DELTASAFE_HOME") or usual).expanduser().resolve()
+    folder = PROJECT / ".deltasafe" / ("" if preset == "default" else preset)
+    return pathlib.Path(os.environ.get("DELTASAFE_HOME") or folder).expanduser().resolve()
 
 
 def tracking_uri(root: pathlib.Path) -> str:
-    """`$MLFLOW_TRACKING_URI`, the address of a server, or else MLflow's database below the home ``root``."""
-    chosen = os.environ.get(TRACKING_VARIABLE)
-    if chosen:
-        return chosen.rstrip("/")
-    return f"sqlite:///{root / 'mlflow' / 'mlflow.db'}"
+    """Return `$MLFLOW_TRACKING_URI`, the address of a server, or else MLflow's database below the home ``root``."""
+    address = os.environ.get(TRACKING_VARIABLE)
+    return address.rstrip("/") if address else f"sqlite:///{root / 'mlflow' / 'mlflow.db'}"
 
 
 def mlflow_ui(uri: str) -> str:
-    """Where a browser finds MLflow: at its server, or where `make ui` shows the database."""
+    """Return the address of MLflow's pages: its server, or where `make ui` shows the database."""
     return uri if uri.startswith("http") else os.environ.get(_MLFLOW_UI, "http://127.0.0.1:5000").rstrip("/")
 
 
 def run_page(run_id: str) -> str:
-    """Page of a Dagster run."""
+    """Return the address of the page of a Dagster run."""
     return f"{os.environ.get(_DAGSTER_UI, 'http://127.0.0.1:3000').rstrip('/')}/runs/{run_id}"
 
 
 def prepare_home() -> pathlib.Path:
-    """Create the home with its Dagster instance, and point this process and its children at both.
+    """Create the home with its `dagster.yaml`, and set the environment of this process and its children.
 
     Raises:
-        SettingsError: `$DELTASAFE_DATABASE` is of another form, or what speaks to it is not installed.
-        DataError: it is set, and a `dagster.yaml` that was edited knows nothing of it.
+        SettingsError: `$DELTASAFE_PRESET` or `$DELTASAFE_DATABASE` is invalid, or the PostgreSQL client is missing.
+        DataError: the home is not a folder; or `dagster.yaml` was edited, and is not YAML or lacks the database.
+        WriteError: the home cannot be created.
     """
     root, database = home(), _checked_database()
     instance = root / "dagster"
-    instance.mkdir(parents=True, exist_ok=True)
-    settings, wanted = instance / "dagster.yaml", _DAGSTER_YAML + (_POSTGRES if database else "")
-    there = settings.read_text(encoding="utf-8") if settings.is_file() else ""
-    # one that was edited is the user's; one that was written here is brought up to date
-    if there in ("", _DAGSTER_YAML, _DAGSTER_YAML + _POSTGRES, *_EARLIER):
-        if there != wanted:
-            with atomic_file(settings) as temporary:
-                temporary.write_text(wanted, encoding="utf-8")
-    elif database and DATABASE_VARIABLE not in there:
-        raise DataError(settings, f"was edited and does not use {DATABASE_VARIABLE}, which is set; add:\n{_POSTGRES}")
+    with translated_write_errors(instance):
+        try:
+            instance.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError) as error:
+            raise DataError(root, "is not a folder, or is below a file; set DELTASAFE_HOME to a folder") from error
+    _write_dagster_yaml(instance / "dagster.yaml", database)
     os.environ["DELTASAFE_HOME"] = str(root)
     os.environ["DAGSTER_HOME"] = str(instance)
     set_quiet_environment()
     return root
 
 
+def _write_dagster_yaml(path: pathlib.Path, database: bool) -> None:
+    """Write or update Dagster's settings; a file that the user has edited is left alone."""
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    try:
+        present = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise DataError(path, f"is not YAML ({' '.join(str(error).split())}); correct it, or delete it") from error
+    wanted = _DAGSTER_YAML + (_POSTGRES if database else "")
+    ours = [yaml.safe_load(each) for each in (_DAGSTER_YAML, _DAGSTER_YAML + _POSTGRES, _FIRST_DAGSTER_YAML)]
+    if not text or present in ours:
+        if text != wanted:
+            with atomic_file(path) as temporary:
+                temporary.write_text(wanted, encoding="utf-8")
+    elif database and DATABASE_VARIABLE not in text:
+        raise DataError(path, f"was edited and does not use {DATABASE_VARIABLE}, which is set; add:\n{_POSTGRES}")
+
+
 def _checked_database() -> bool:
-    """Whether Dagster's records are in PostgreSQL; the address is never shown."""
+    """Return whether Dagster's records are in PostgreSQL; errors never show the address."""
     address = os.environ.get(DATABASE_VARIABLE, "")
     if not address:
         return False
     if not address.startswith(_DIALECT):
-        raise SettingsError(f"{DATABASE_VARIABLE} has to have the form {_DIALECT}USER:PASSWORD@HOST:PORT/DATABASE")
+        raise SettingsError(f"{DATABASE_VARIABLE} must have the form {_DIALECT}USER:PASSWORD@HOST:PORT/DATABASE")
     if importlib.util.find_spec("dagster_postgres") is None:
         raise SettingsError(f"{DATABASE_VARIABLE} is set, but dagster-postgres is not installed; run: make team")
     return True
 
 
 def set_quiet_environment() -> None:
-    """No telemetry, no update checks: nothing here calls home, and MLflow loads no pickle."""
-    os.environ.setdefault("DAGSTER_DISABLE_TELEMETRY", "1")
-    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ.setdefault("NO_ALBUMENTATIONS_UPDATE", "1")
-    # MLflow's server would otherwise start ten processes for jobs that nobody submits here
-    os.environ.setdefault("MLFLOW_SERVER_ENABLE_JOB_EXECUTION", "false")
-    os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
-    os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")
-    os.environ.setdefault("MLFLOW_ALLOW_PICKLE_DESERIALIZATION", "false")
-    # a server that is away is tried again at the next call, not for minutes within one
-    os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
-    os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "30")
+    """Switch off telemetry, update checks and unpickling in MLflow, unless the environment already decides."""
+    for name, value in _ENVIRONMENT.items():
+        os.environ.setdefault(name, value)

@@ -1,4 +1,4 @@
-"""Jobs by what people ask for, and the retraining schedule."""
+"""Jobs, and the retraining schedule."""
 
 import os
 
@@ -26,77 +26,78 @@ __all__ = [
 ]
 
 
-def _whole_range(partitions: dg.StaticPartitionsDefinition) -> dict[str, str]:
-    """One run makes every partition; assets without partitions ignore it."""
+def _all_partitions(partitions: dg.StaticPartitionsDefinition) -> dict[str, str]:
+    """Return tags with which one run makes every partition. Assets without partitions ignore them."""
     keys = partitions.get_partition_keys()
     return {"dagster/asset_partition_range_start": keys[0], "dagster/asset_partition_range_end": keys[-1]}
 
 
 UNATTENDED_VARIABLE = "DELTASAFE_UNATTENDED"
 UNATTENDED = {"dagster/max_retries": "2", "dagster/retry_strategy": "FROM_FAILURE"}
-"""Nobody sits beside these runs: one whose process was killed is taken up again."""
+"""Tags of runs that a sensor or the schedule starts: if their process is killed, Dagster retries them."""
 
-ALL_MEMBERS = _whole_range(members)
-ALL_CELLS = _whole_range(cells)
+ALL_MEMBERS = _all_partitions(members)
+ALL_CELLS = _all_partitions(cells)
 
 perception = dg.define_asset_job(
     "perception",
     dg.AssetSelection.groups("perception"),
-    description="From the labeled images to the frozen, registered ensemble.",
+    description="Trains, evaluates, freezes and registers an ensemble from the labeled images.",
     tags=ALL_MEMBERS,
 )
 
 planning = dg.define_asset_job(
     "planning",
     dg.AssetSelection.groups("motion"),
-    description="From the frozen ensemble and the logged scenes to the safety report.",
+    description="Plans and executes a motion for every logged scene with the ensemble in use; writes a safety report.",
 )
 
 everything = dg.define_asset_job(
     "everything",
     dg.AssetSelection.groups("perception", "motion"),
-    description="The whole chain: fifty images in, safely executed motions out.",
+    description="The whole pipeline: from labeled images to executed motions and the safety report (`make demo`).",
     tags=ALL_MEMBERS,
 )
 
 single_scene = dg.define_asset_job(
     "single_scene",
     dg.AssetSelection.groups("single_scene"),
-    description="One newly logged scene with the ensemble in use: seen, planned, executed, judged.",
+    description="Plans, executes and evaluates one logged scene (a partition) with the ensemble in use.",
 )
 
 perception_study = dg.define_asset_job(
     "perception_study",
     dg.AssetSelection.groups("perception_study") | dg.AssetSelection.assets("raw_hands", "test_hands"),
-    description="Tables I to III and Fig. 4 of the paper, and the ablation: hours of training; goes on where it was.",
+    description="Tables I to III, Fig. 4 and the ablation of the paper. Hours of training; resumes where it stopped.",
     tags=ALL_CELLS,
 )
 
 planner_study = dg.define_asset_job(
     "planner_study",
     dg.AssetSelection.groups("planner_study"),
-    description="Fig. 5 and Fig. 6 of the paper: the planner against the compared methods; goes on where it was.",
+    description="Fig. 5 and Fig. 6 of the paper: compares planners. Minutes; resumes where it stopped.",
 )
 
 safety_study = dg.define_asset_job(
     "safety_study",
     dg.AssetSelection.groups("safety_study"),
-    description="Thousands of executed motions: were they delta-safe? With intervals; goes on where it was.",
+    description="Executes thousands of motions and estimates violation rates. An hour; resumes where it stopped.",
 )
 
 
 tracking_study = dg.define_asset_job(
     "tracking_study",
     dg.AssetSelection.groups("tracking_study"),
-    description="The tracking bound gamma(v), identified from test motions; goes on where it was.",
+    description="Identifies the tracking bound gamma(v) of the arm from test motions. Resumes where it stopped.",
 )
 
 
 @dg.schedule(
     job=perception,
     cron_schedule="0 3 * * 0",
+    execution_timezone="UTC",
     default_status=dg.DefaultScheduleStatus("RUNNING" if os.environ.get(UNATTENDED_VARIABLE) == "1" else "STOPPED"),
-    description="Retrain all members every Sunday at 3:00, on the watched images where there are any.",
+    description="Retrains all members on Sundays at 3:00 UTC, on the watched images if there are any.",
 )
 def retraining(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:
     tags, hands = {**ALL_MEMBERS, **UNATTENDED}, watched_hands(home())

@@ -1,4 +1,4 @@
-"""Dagster resources that hand plain objects to the assets."""
+"""Dagster resources that create the plain objects which assets use."""
 
 import dataclasses
 import pathlib
@@ -8,7 +8,7 @@ import dagster as dg
 from assets.interfaces import Store
 from pipelines.automation.launch_check import wrong_settings
 from pipelines.home import run_page
-from pipelines.storage.artifact_store import places_of
+from pipelines.storage.artifact_store import artifact_store
 from pipelines.tracking.registry import EnsembleRegistry
 from pipelines.tracking.tracker import MlflowTracker
 
@@ -16,7 +16,7 @@ __all__ = ["RegistryResource", "StoreResource", "TrackerResource"]
 
 
 class StoreResource(dg.ConfigurableResource[Store]):
-    """Where inputs lie and where results go. Every step asks for it, the first ones before anything is computed."""
+    """Folders of inputs and results. Every step uses it, so it also validates the settings of the run (`refused`)."""
 
     home: str
     datasets: str
@@ -28,16 +28,16 @@ class StoreResource(dg.ConfigurableResource[Store]):
 
 @dataclasses.dataclass(frozen=True)
 class _SharedStore(Store):
-    """Finds what another machine has finished (a member, cells of a study) as it finds what was finished here."""
+    """Also finds results of other machines, e.g. a trained member or cells of a study."""
 
     def folder(self, asset: str, name: str) -> pathlib.Path:
         folder = super().folder(asset, name)
-        places_of(self.home).recall(folder)
+        artifact_store(self.home).restore(folder)
         return folder
 
 
 class TrackerResource(dg.ConfigurableResource[MlflowTracker]):
-    """MLflow; every MLflow run names the Dagster run that wrote it, and its page."""
+    """The MLflow tracker. It tags every MLflow run with the Dagster run and its page."""
 
     home: str
 
@@ -46,7 +46,7 @@ class TrackerResource(dg.ConfigurableResource[MlflowTracker]):
 
 
 class RegistryResource(dg.ConfigurableResource[EnsembleRegistry]):
-    """Which frozen ensemble is in use."""
+    """The registry of frozen ensembles, one of which is in use."""
 
     home: str
 

@@ -1,4 +1,4 @@
-"""The executor of all runs: it records which process a run is, and ends steps that do not end when told to."""
+"""The executor of all runs: records the process of a run, and kills steps that ignore a termination request."""
 
 import contextlib
 import os
@@ -14,7 +14,6 @@ from dagster._core.events import EngineEventData
 
 from deltasafe.compute.processes import descendants, kill_with_descendants, parent_of, start_mark
 from pipelines.home import DATABASE_VARIABLE
-from pipelines.run_owner import MACHINE_TAG
 
 if TYPE_CHECKING:
     from dagster._core.execution.context.system import PlanOrchestrationContext
@@ -22,19 +21,21 @@ if TYPE_CHECKING:
     from dagster._core.execution.retries import RetryMode
     from dagster._core.execution.step_dependency_config import StepDependencyConfig
 
-__all__ = ["RunProcess", "process_of", "step_processes", "supervised"]
+__all__ = ["MACHINE_TAG", "RunProcess", "process_of", "step_processes", "supervised"]
 
+MACHINE_TAG = "deltasafe/machine"
+"""Tag of a run with the host name of its machine, if machines share a database."""
 _PATIENCE_S = 6.0
-"""From the termination request to the kill of steps. An interrupt cannot break into compiled code."""
+"""From the termination request to SIGKILL. Python cannot interrupt compiled code."""
 _PID, _START = "pid", "start"
 
 
 class RunProcess(NamedTuple):
-    """A run's process.
+    """The process of a run.
 
     Attributes:
-        pid: of it.
-        start: its `deltasafe.compute.processes.start_mark`; None if the run's executor does not record it.
+        pid: its PID.
+        start: its `deltasafe.compute.processes.start_mark`; None if the executor did not record it.
     """
 
     pid: int
@@ -42,9 +43,9 @@ class RunProcess(NamedTuple):
 
 
 def process_of(instance: dg.DagsterInstance, run_id: str) -> RunProcess | None:
-    """Read a run's process from its events; None if there is none yet.
+    """Read the process of a run from its events; None if no event names it yet.
 
-    Events, not tags: a re-execution copies the tags of its parent.
+    Tags were rejected: a re-execution copies the tags of its parent run.
     """
     found: RunProcess | None = None
     for entry in instance.all_logs(run_id, of_type=dg.DagsterEventType.ENGINE_EVENT):
@@ -59,23 +60,23 @@ def process_of(instance: dg.DagsterInstance, run_id: str) -> RunProcess | None:
 
 
 def step_processes(instance: dg.DagsterInstance, run_id: str) -> set[int]:
-    """PIDs of all steps of a run that were ever started, wherever."""
+    """Return the PIDs of all steps that a run has started, on any machine."""
     events = instance.all_logs(run_id, of_type=dg.DagsterEventType.STEP_WORKER_STARTED)
     return {pid for entry in events if (pid := _pid_of_step(entry.dagster_event)) is not None}
 
 
 def supervised(executor: dg.ExecutorDefinition) -> dg.ExecutorDefinition:
-    """Return the same executor, whose runs record their process and end in time.
+    """Wrap an executor: its runs record their process, and termination takes seconds.
 
-    If the database is shared, runs get the name of the machine (or container) as a tag as well.
+    If machines share a database, it also tags runs with the host name of the machine or container.
     """
-    made = executor.executor_creation_fn
-    assert made is not None
+    create = executor.executor_creation_fn
+    assert create is not None
     return dg.ExecutorDefinition(
         name=executor.name,
         config_schema=cast(Any, executor.config_schema),
         requirements=executor.get_requirements,
-        executor_creation_fn=lambda context: _Supervised(made(context)),
+        executor_creation_fn=lambda context: _Supervised(create(context)),
         description=executor.description,
     )
 
@@ -105,7 +106,7 @@ class _Supervised(Executor):
                 yield event
         finally:
             killer.cancel()
-            for server in servers:  # else it would begin its exit, seconds with all libraries loaded, only after ours
+            for server in servers:  # otherwise it exits only after this process, and takes seconds
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(server, signal.SIGKILL)
 
@@ -135,7 +136,7 @@ def _is_termination(event: DagsterEvent) -> bool:
 
 
 def _fork_servers(steps: set[int]) -> set[int]:
-    """PIDs of the children of this process that the steps under way were forked from."""
+    """Return the PIDs of the children of this process that forked the running steps."""
     return set(descendants(os.getpid())).intersection(map(parent_of, steps))
 
 

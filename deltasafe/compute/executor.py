@@ -1,7 +1,6 @@
-"""Where long work is done: one verb, behind which stand processes of this machine or those of a cluster.
+"""Run tasks in worker processes: the executor protocol, and the executor for one machine.
 
-Studies (`batches`) and trainings (`perception.ensemble_training`) know no more of a machine than this. What asks all
-members of an ensemble at once is called an executor as well (`perception.executor`) and is something else.
+The executor for a Ray cluster is in `deltasafe.compute.ray_executor`.
 """
 
 import collections
@@ -13,20 +12,20 @@ from typing import Any, Protocol
 from deltasafe.compute.workers import ERROR, LOST, REPORT, RESULT, Workers
 from deltasafe.errors import SettingsError, WorkerLostError
 
-__all__ = ["LOCAL", "RETRIES", "Executor", "LocalExecutor", "Needs", "Task", "in_order", "lost"]
+__all__ = ["LOCAL", "RETRIES", "Executor", "LocalExecutor", "Needs", "Task", "in_order", "worker_lost_error"]
 
 RETRIES = 2
-"""How often a task is done again whose worker was lost: killed, out of memory, its machine gone."""
+"""How often a task is retried after its worker process was lost (killed, out of memory, machine failure)."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A call to be made somewhere: ``work(*arguments)``. It starts no processes by `multiprocessing` itself.
+    """A call of ``work(*arguments)`` in some process. It must not start processes with `multiprocessing`.
 
     Attributes:
-        name: how errors call it.
-        work: a function of a module. If ``hear`` is given, its first argument is a callable that takes a report.
-        arguments: they and the result are sent between processes, and are therefore small; paths are read there.
+        name: name of the task in error messages.
+        work: a module-level function. If `Executor.run` has ``on_report``, its first argument is a report callback.
+        arguments: pickled, like the result. Keep both small, and pass paths instead of data.
     """
 
     name: str
@@ -36,12 +35,12 @@ class Task:
 
 @dataclasses.dataclass(frozen=True)
 class Needs:
-    """What each of some tasks needs.
+    """Resources of each of several tasks.
 
     Attributes:
-        threads: that it uses.
-        gpu: a share of one, where the executor gives shares and has been told how large they are.
-        apart: a process of its own, though it be the only one; for work that changes the process that it is done in.
+        threads: number of threads that a task uses.
+        gpu: whether a task uses a GPU, or the configured fraction of one.
+        apart: run in a separate process even if there is only one task, because it changes its process.
     """
 
     threads: int = 1
@@ -50,18 +49,19 @@ class Needs:
 
 
 class Executor(Protocol):
-    """A place where tasks are done. What they return does not depend on it."""
+    """Runs tasks. The results do not depend on which executor runs them."""
 
     def rounds(self, n_tasks: int, workers: int) -> Sequence[tuple[int, int]]:
-        """How many trainings are side by side, round after round, and with how many threads each.
+        """Split trainings into rounds: number of parallel trainings and threads of each, for every round.
 
         Args:
-            workers: how many are wanted side by side on one machine.
+            n_tasks: number of trainings.
+            workers: number of parallel trainings wanted on one machine.
         """
         ...
 
     def width(self, workers: int) -> int:
-        """How many tasks of one thread are done side by side, if ``workers`` are wanted of one machine."""
+        """Return how many single-threaded tasks run in parallel if ``workers`` are wanted on one machine."""
         ...
 
     def run(
@@ -69,32 +69,32 @@ class Executor(Protocol):
         tasks: Sequence[Task],
         workers: int,
         needs: Needs = ...,
-        hear: Callable[[Any], None] | None = None,
+        on_report: Callable[[Any], None] | None = None,
     ) -> Generator[tuple[int, Any], None, None]:
-        """Do all tasks; yield the position and the result of each as it ends.
+        """Run all tasks; yield the index and the result of each task when it finishes.
 
-        A task whose worker is lost is done again, ``RETRIES`` times at most. After an error no further task is begun.
-        Closing the generator, or an interrupt, ends the tasks under way; close it with `contextlib.closing`.
+        A task whose worker process is lost is retried up to ``RETRIES`` times. After an error, no further task starts.
+        Closing the generator, or an interrupt, ends the running tasks; close it with `contextlib.closing`.
 
         Args:
-            hear: takes what tasks report underway; called here, between results.
+            on_report: called in this process with the reports of running tasks, between results.
 
         Raises:
-            WorkerLostError: names the task that loses its workers.
+            WorkerLostError: a task lost its worker process on every attempt.
         """
         ...
 
 
-def lost(task: Task, reason: str = "") -> WorkerLostError:
-    """The error of a task that lost its worker once too often."""
+def worker_lost_error(task: Task, reason: str = "") -> WorkerLostError:
+    """Create the error of a task that lost its worker process on every attempt."""
     return WorkerLostError(
-        f"{task.name}: the process that did it was lost {RETRIES + 1} times{reason and f' ({reason})'}; look for what "
-        "ends it (memory, as a rule) and run it again with fewer workers: what is finished is found"
+        f"{task.name}: the process that ran it was lost {RETRIES + 1} times{reason and f' ({reason})'}; find out what "
+        "ends it (usually a lack of memory) and run again with fewer workers: finished work is kept"
     )
 
 
 def in_order(finished: Iterable[tuple[int, Any]]) -> Iterator[Any]:
-    """Yield the results of `Executor.run` in the order of the tasks; results that come early are kept."""
+    """Yield the results of `Executor.run` in the order of the tasks; early results are buffered."""
     early: dict[int, Any] = {}
     n_yielded = 0
     for index, result in finished:
@@ -105,16 +105,16 @@ def in_order(finished: Iterable[tuple[int, Any]]) -> Iterator[Any]:
 
 
 class LocalExecutor:
-    """Processes of this machine; one worker is this process itself."""
+    """Runs tasks in processes of this machine; with one worker, in this process."""
 
     def rounds(self, n_tasks: int, workers: int) -> list[tuple[int, int]]:
-        """As many as there are workers, the machine's cores shared among them; a last, smaller round has more each."""
+        """Split into rounds of ``workers`` tasks that share the cores; the tasks of a smaller last round get more."""
         cores = os.cpu_count() or 1
         sizes = [min(workers, n_tasks - first) for first in range(0, n_tasks, workers)]
         return [(size, max(1, cores // size)) for size in sizes]
 
     def width(self, workers: int) -> int:
-        """Exactly the workers."""
+        """Return ``workers``."""
         return workers
 
     def run(
@@ -122,48 +122,50 @@ class LocalExecutor:
         tasks: Sequence[Task],
         workers: int,
         needs: Needs = Needs(),
-        hear: Callable[[Any], None] | None = None,
+        on_report: Callable[[Any], None] | None = None,
     ) -> Generator[tuple[int, Any], None, None]:
-        """See `Executor`. All workers have ended when this returns or raises."""
+        """Run all tasks, as `Executor.run`. All worker processes have ended when this returns or raises."""
         if workers < 1:
             raise SettingsError(f"workers must be at least 1, got {workers}")
         if not needs.apart and min(workers, len(tasks)) <= 1:
             for index, task in enumerate(tasks):
-                yield index, task.work(*([] if hear is None else [hear]), *task.arguments)
+                yield index, task.work(*([] if on_report is None else [on_report]), *task.arguments)
             return
-        started = Workers(min(workers, len(tasks)))
+        pool = Workers(min(workers, len(tasks)))
         try:
-            yield from _all(tasks, started, hear)
+            yield from _run_all(tasks, pool, on_report)
         finally:
             try:
-                started.end()
-            except BaseException:  # a second interrupt, in the moment before interrupts are delayed
-                started.end()
+                pool.end()
+            except BaseException:  # a second interrupt, just before interrupts are delayed
+                pool.end()
                 raise
 
 
 LOCAL = LocalExecutor()
 
 
-def _all(tasks: Sequence[Task], workers: Workers, hear: Callable[[Any], None] | None) -> Iterator[tuple[int, Any]]:
+def _run_all(
+    tasks: Sequence[Task], pool: Workers, on_report: Callable[[Any], None] | None
+) -> Iterator[tuple[int, Any]]:
     waiting = collections.deque(range(len(tasks)))
-    tries = [0] * len(tasks)
+    n_losses = [0] * len(tasks)
     failure: BaseException | None = None
-    while workers.busy() or (waiting and failure is None):
-        while waiting and failure is None and (worker := workers.idle()) is not None:
+    while pool.busy() or (waiting and failure is None):
+        while waiting and failure is None and (worker := pool.idle()) is not None:
             task = tasks[waiting[0]]
-            worker.begin(waiting.popleft(), task.work, hear is not None, task.arguments)
-        for index, kind, value in workers.messages():
-            if kind == REPORT and hear is not None:
-                hear(value)
+            worker.begin(waiting.popleft(), task.work, on_report is not None, task.arguments)
+        for index, kind, value in pool.messages():
+            if kind == REPORT and on_report is not None:
+                on_report(value)
             elif kind == RESULT:
                 yield index, value
-            elif kind == ERROR:  # what is under way is finished and yielded first
+            elif kind == ERROR:  # raised after the running tasks have finished and their results were yielded
                 failure = failure or value
             elif kind == LOST:
-                tries[index] += 1
-                if tries[index] > RETRIES:
-                    failure = failure or lost(tasks[index])
+                n_losses[index] += 1
+                if n_losses[index] > RETRIES:
+                    failure = failure or worker_lost_error(tasks[index])
                 else:
                     waiting.appendleft(index)
     if failure is not None:

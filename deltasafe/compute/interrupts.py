@@ -1,4 +1,4 @@
-"""Signals that must not break into a clean-up, and worker processes that ignore Ctrl-C."""
+"""Delay signals during clean-up, and start worker processes that ignore Ctrl-C."""
 
 import contextlib
 import signal

@@ -1,4 +1,4 @@
-"""Processes that end with the one that started them, even if that one was killed and could tell them nothing."""
+"""End a worker process when its parent process ends, even if the parent was killed."""
 
 import multiprocessing
 import multiprocessing.connection
@@ -7,19 +7,18 @@ import threading
 
 __all__ = ["end_with_parent"]
 
+_THREAD = "parent-watchdog"
+
 
 def end_with_parent() -> None:
-    """End this process as soon as the one that started it by `multiprocessing` has ended; elsewhere, do nothing.
+    """Start a thread that ends this process when its `multiprocessing` parent ends; without a parent, do nothing.
 
-    Workers of a pool would otherwise wait for work for ever, and one that works would go on beside the next run.
-    What it was writing is left as by any kill: whole or not at all. Given to pools as their initializer.
+    Otherwise an idle worker would wait for tasks forever, and a busy one would work in parallel with the next run.
+    Writes are atomic, so ending at any time is safe. Pools use this function as their initializer.
     """
     parent = multiprocessing.parent_process()
-    if parent is not None and not any(thread.name == _NAME for thread in threading.enumerate()):
-        threading.Thread(target=_wait_for, args=(parent.sentinel,), name=_NAME, daemon=True).start()
-
-
-_NAME = "lifeline"
+    if parent is not None and not any(thread.name == _THREAD for thread in threading.enumerate()):
+        threading.Thread(target=_wait_for, args=(parent.sentinel,), name=_THREAD, daemon=True).start()
 
 
 def _wait_for(sentinel: int) -> None:

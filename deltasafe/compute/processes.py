@@ -1,7 +1,7 @@
 """Identify processes, and end them with their children.
 
-PIDs are reused; PID plus start time is unique. The start is compared in ticks as the kernel gives them, never with a
-clock: clocks are set, and containers see another /proc/uptime than the kernel's.
+PIDs are reused; PID plus start time is unique. The start time is compared in the kernel's clock ticks, never as wall
+clock time: clocks are adjusted, and a container may see another /proc/uptime than the kernel.
 """
 
 import contextlib
@@ -22,33 +22,36 @@ __all__ = [
     "stop_session",
 ]
 
+_PARENT, _GROUP, _START = 1, 2, 19
+"""Positions in /proc/PID/stat, counted from the process state (proc(5))."""
+
 
 def start_ticks(pid: int) -> int | None:
-    """When the process began, in ticks since the machine did; None where that cannot be told (no /proc).
+    """Return when a process started, in clock ticks since boot; None without /proc.
 
     Raises:
-        ProcessLookupError: there is none of that number; one that has ended and was not waited for yet is none.
+        ProcessLookupError: no process of that PID runs; zombies do not count.
     """
     if not pathlib.Path("/proc/self/stat").is_file():
         return None
-    fields = _running(pathlib.Path("/proc", str(pid), "stat"))
+    fields = _stat(pathlib.Path("/proc", str(pid), "stat"))
     if fields is None:
         raise ProcessLookupError(pid)
-    return int(fields[19])
+    return int(fields[_START])
 
 
 def start_mark(pid: int) -> str | None:
-    """Return boot and start ticks of a process, which no other process of that PID has; None without /proc.
+    """Return boot id and start ticks, which no other process of that PID has; None without /proc.
 
     Raises:
-        ProcessLookupError: as by `start_ticks`.
+        ProcessLookupError: no process of that PID runs; zombies do not count.
     """
     ticks = start_ticks(pid)
     return None if ticks is None else f"{_boot_id()}:{ticks}"
 
 
 def is_running(pid: int, mark: str | None = None) -> bool:
-    """Whether the process ``pid`` runs, and is the one whose `start_mark` was ``mark``; zombies do not run.
+    """Return whether the process with that PID and `start_mark` runs; zombies do not count.
 
     Without ``mark``, any process of that PID counts.
     """
@@ -56,7 +59,7 @@ def is_running(pid: int, mark: str | None = None) -> bool:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    except PermissionError:  # another user's
+    except PermissionError:  # a process of another user
         pass
     try:
         found = start_mark(pid)
@@ -66,12 +69,12 @@ def is_running(pid: int, mark: str | None = None) -> bool:
 
 
 def descendants(pid: int) -> list[int]:
-    """PIDs of the children of a process, of their children, and so on; empty without /proc."""
+    """Return the PIDs of all children, grandchildren and so on of a process; empty without /proc."""
     parents: dict[int, int] = {}
     for stat in pathlib.Path("/proc").glob("[0-9]*/stat"):
-        fields = _running(stat)
+        fields = _stat(stat)
         if fields is not None:
-            parents[int(stat.parent.name)] = int(fields[1])
+            parents[int(stat.parent.name)] = int(fields[_PARENT])
     found, new = [], [pid]
     while new:
         new = [child for child, parent in parents.items() if parent in new]
@@ -80,16 +83,35 @@ def descendants(pid: int) -> list[int]:
 
 
 def parent_of(pid: int) -> int | None:
-    """PID of the parent of a process; None without /proc, or if it has ended."""
-    fields = _running(pathlib.Path("/proc", str(pid), "stat"))
-    return None if fields is None else int(fields[1])
+    """Return the PID of the parent process; None without /proc, or if the process has ended."""
+    fields = _stat(pathlib.Path("/proc", str(pid), "stat"))
+    return None if fields is None else int(fields[_PARENT])
 
 
 def kill_with_descendants(pid: int) -> None:
-    """SIGKILL a process and its descendants."""
+    """Send SIGKILL to a process and its descendants."""
     for each in (pid, *descendants(pid)):
         with contextlib.suppress(ProcessLookupError):
             os.kill(each, signal.SIGKILL)
+
+
+def stop_session(leader: subprocess.Popen, patience_s: float = 30.0) -> None:
+    """Stop a server that was started with ``start_new_session=True``, and all processes that it started.
+
+    The leader gets SIGTERM first, alone: Dagster's stops its children in order, and would hang if they ended before
+    it. MLflow's forwards no signal, so then the remaining group gets SIGTERM, and finally SIGKILL.
+    """
+    leader.terminate()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        leader.wait(timeout=patience_s)
+    with contextlib.suppress(ProcessLookupError):
+        if leader.poll() is not None:
+            os.killpg(leader.pid, signal.SIGTERM)
+            until_s = time.monotonic() + patience_s
+            while _group_runs(leader.pid) and time.monotonic() < until_s:
+                time.sleep(0.05)
+        os.killpg(leader.pid, signal.SIGKILL)
+    leader.wait()
 
 
 @functools.cache
@@ -100,39 +122,23 @@ def _boot_id() -> str:
         return ""
 
 
-def _running(stat: pathlib.Path) -> list[str] | None:
-    """Fields of a process from its state on; None if it has ended, whether or not it was waited for."""
+def _stat(path: pathlib.Path) -> list[str] | None:
+    """Return the fields of /proc/PID/stat from the process state on; None if the process has ended or is a zombie."""
     try:
-        fields = stat.read_text(encoding="utf-8").rpartition(")")[2].split()
+        fields = path.read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
         return None
     return None if fields[0] in "ZX" else fields
 
 
-def stop_session(leader: subprocess.Popen, patience_s: float = 30.0) -> None:
-    """End a server that was started with ``start_new_session=True``, and whatever it has started.
+def _group_runs(group: int) -> bool:
+    """Return whether a process of the group runs; zombies do not count.
 
-    The leader is asked first, and alone: some (Dagster's) stop their children in order, and would wait for ever if
-    those ended before; others (MLflow's) pass nothing on. Then whoever is left is asked, and killed if it does not
-    listen.
+    Raises:
+        ProcessLookupError: without /proc, the group has no process.
     """
-    leader.terminate()
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        leader.wait(timeout=patience_s)
-    with contextlib.suppress(ProcessLookupError):
-        if leader.poll() is not None:
-            os.killpg(leader.pid, signal.SIGTERM)
-            until = time.monotonic() + patience_s
-            while _is_at_work(leader.pid) and time.monotonic() < until:
-                time.sleep(0.05)
-        os.killpg(leader.pid, signal.SIGKILL)
-    leader.wait()
-
-
-def _is_at_work(group: int) -> bool:
-    """Whether a process of the group still runs; one that only has to be waited for, by whomever, does not."""
     stats = list(pathlib.Path("/proc").glob("[0-9]*/stat"))
     if not stats:
         os.killpg(group, 0)
         return True
-    return any(int(fields[2]) == group for fields in map(_running, stats) if fields is not None)
+    return any(int(fields[_GROUP]) == group for fields in map(_stat, stats) if fields is not None)

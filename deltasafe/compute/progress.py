@@ -1,4 +1,4 @@
-"""How long work reports that it is alive: one callable, `progress(done, total, message)`."""
+"""Progress reports of long work: a callable `progress(done, total, message)`."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -9,4 +9,4 @@ Progress: TypeAlias = Callable[[int, int, str], None]
 
 
 def silent(done: int, total: int, message: str) -> None:
-    """The progress of whoever does not want to hear of it."""
+    """Do nothing: the default progress callback."""

@@ -1,7 +1,7 @@
-"""Long work on a Ray cluster; the only importer of ray.
+"""Run tasks on a Ray cluster. The only module that imports ray.
 
-Every machine of the cluster has this package at the same version, and sees inputs under the same paths: augmented sets
-and members' folders, scenes and frozen ensembles. Batches of studies are sent back and need no shared folder.
+Every machine of the cluster has the same version of this package and sees inputs under the same paths: augmented sets,
+members, scenes and frozen ensembles. Results of studies are sent back, so their folders need not be shared.
 """
 
 import contextlib
@@ -13,25 +13,25 @@ import re
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
-from deltasafe.compute.executor import RETRIES, Needs, Task, lost
+from deltasafe.compute.executor import RETRIES, Needs, Task, worker_lost_error
 from deltasafe.errors import SettingsError
 
 __all__ = ["RayExecutor", "RaySettings"]
 
 _log = logging.getLogger(__name__)
 _ADDRESS = re.compile(r"(ray://)?[\w.-]+:\d{1,5}")
-_LISTEN_S = 0.5
+_POLL_S = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
 class RaySettings:
-    """A cluster, and what of it a member gets.
+    """Address of a cluster, and the resources that it gives to the training of one member.
 
     Attributes:
-        address: ``auto`` for the cluster that this machine is part of (`ray start`), ``host:port`` for its head as seen
-            from a machine of the cluster, ``ray://host:port`` from outside.
-        cpus_per_member: cores, and threads, of a member's training. Sums over other numbers of threads are other sums.
-        gpus_per_member: share of a GPU of a member's training; 0 trains on CPUs.
+        address: ``auto`` for the cluster of this machine (`ray start`), ``host:port`` for a head node that is reached
+            from within the cluster, ``ray://host:port`` from outside.
+        cpus_per_member: cores and threads per member. Weights are bit-identical only with the same number of threads.
+        gpus_per_member: fraction of a GPU per member; 0 trains on CPUs.
     """
 
     address: str = "auto"
@@ -44,14 +44,14 @@ class RaySettings:
         if self.cpus_per_member < 1:
             raise SettingsError(f"cpus_per_member must be at least 1, got {self.cpus_per_member}")
         if not (math.isfinite(self.gpus_per_member) and 0 <= self.gpus_per_member <= 1):
-            raise SettingsError(f"gpus_per_member must lie in [0, 1], got {self.gpus_per_member}: none uses two")
+            raise SettingsError(f"gpus_per_member must lie in [0, 1], got {self.gpus_per_member}")
 
 
 class RayExecutor:
-    """Tasks on a Ray cluster, one core each; connected at the first.
+    """Runs tasks on a Ray cluster, one core each. It connects when the first task is submitted.
 
-    All tasks are given to the cluster at once, which does as many side by side as it has cores, and may grow. It ends
-    what a driver left behind that was killed.
+    All tasks are submitted at once; the cluster runs as many in parallel as it has cores, and may grow. Ray ends the
+    tasks of a driver process that was killed.
 
     Raises:
         SettingsError: ray is not installed.
@@ -59,15 +59,15 @@ class RayExecutor:
 
     def __init__(self, settings: RaySettings = RaySettings()) -> None:
         if importlib.util.find_spec("ray") is None:
-            raise SettingsError("the executor ray is not installed; pip install 'deltasafe[ray]', or use the local one")
+            raise SettingsError("ray is not installed; pip install 'deltasafe[ray]', or use the local executor")
         self.settings = settings
 
     def rounds(self, n_tasks: int, workers: int) -> list[tuple[int, int]]:
-        """One round of all; how many are side by side is the cluster's affair."""
+        """Return one round of all tasks: the cluster decides how many run in parallel."""
         return [(n_tasks, self.settings.cpus_per_member)] if n_tasks else []
 
     def width(self, workers: int) -> int:
-        """Cores of the cluster, as it is now; 1 if it is not there, since what is finished is found without it."""
+        """Return the current number of cores of the cluster; 1 without a cluster: finished work needs none."""
         try:
             return max(1, int(self._connected().cluster_resources().get("CPU", 1)))
         except SettingsError:
@@ -78,30 +78,30 @@ class RayExecutor:
         tasks: Sequence[Task],
         workers: int,
         needs: Needs = Needs(),  # noqa: B008 - frozen
-        hear: Callable[[Any], None] | None = None,
+        on_report: Callable[[Any], None] | None = None,
     ) -> Generator[tuple[int, Any], None, None]:
-        """See `deltasafe.compute.executor.Engine`."""
+        """Run all tasks, as `deltasafe.compute.executor.Executor.run`; ``workers`` is ignored."""
         if not tasks:
             return
         ray = self._connected()
         gpus = self.settings.gpus_per_member if needs.gpu else 0.0
-        _say_if_nothing_fits(ray, needs.threads, gpus)
-        remote = ray.remote(num_cpus=needs.threads, num_gpus=gpus, max_retries=RETRIES, retry_exceptions=False)(_do)
-        with _reports(ray, hear) as reports:
-            told = () if reports is None else (_Tell(reports),)
+        _warn_if_nothing_fits(ray, needs.threads, gpus)
+        remote = ray.remote(num_cpus=needs.threads, num_gpus=gpus, max_retries=RETRIES, retry_exceptions=False)(_call)
+        with _report_queue(ray, on_report) as reports:
+            report = () if reports is None else (_Report(reports),)
             pending = {
-                remote.options(name=f"deltasafe {task.name}").remote(task.work, *told, *task.arguments): index
+                remote.options(name=f"deltasafe {task.name}").remote(task.work, *report, *task.arguments): index
                 for index, task in enumerate(tasks)
             }
             try:
-                yield from _all(ray, tasks, pending, reports, hear)
+                yield from _run_all(ray, tasks, pending, reports, on_report)
             finally:
-                for one in pending:
+                for reference in pending:
                     with contextlib.suppress(ray.exceptions.RayError):
-                        ray.cancel(one, force=True)
+                        ray.cancel(reference, force=True)
 
     def disconnect(self) -> None:
-        """End this process's connection, before the cluster ends; the next tasks connect anew."""
+        """Close the connection, before the cluster ends; the next task connects again."""
         import ray
 
         ray.shutdown()
@@ -116,36 +116,36 @@ class RayExecutor:
                 reason = " ".join(str(error).split())[:200]
                 raise SettingsError(
                     f"there is no Ray cluster at {self.settings.address!r} ({reason}); start one with `ray start "
-                    "--head`, or name the one that there is"
+                    "--head`, or set the address of a running one"
                 ) from error
         return ray
 
 
-def _do(work: Callable[..., Any], *arguments: Any) -> Any:
+def _call(work: Callable[..., Any], *arguments: Any) -> Any:
     return work(*arguments)
 
 
-def _all(
-    ray: Any, tasks: Sequence[Task], pending: dict[Any, int], reports: Any, hear: Callable[[Any], None] | None
+def _run_all(
+    ray: Any, tasks: Sequence[Task], pending: dict[Any, int], reports: Any, on_report: Callable[[Any], None] | None
 ) -> Iterator[tuple[int, Any]]:
     while pending:
-        ended, _ = ray.wait(list(pending), num_returns=len(pending), timeout=_LISTEN_S)
-        _hear_all(ray, reports, hear)
-        for one in ended:
-            index = pending.pop(one)
+        finished, _ = ray.wait(list(pending), num_returns=len(pending), timeout=_POLL_S)
+        _forward_reports(ray, reports, on_report)
+        for reference in finished:
+            index = pending.pop(reference)
             try:
-                result = ray.get(one)
+                result = ray.get(reference)
             except ray.exceptions.RayTaskError as error:
                 raise error.cause from error
             except ray.exceptions.RayError as error:
-                raise lost(tasks[index], " ".join(str(error).split())[:200]) from error
+                raise worker_lost_error(tasks[index], " ".join(str(error).split())[:200]) from error
             yield index, result
 
 
 @contextlib.contextmanager
-def _reports(ray: Any, hear: Callable[[Any], None] | None) -> Iterator[Any]:
-    """A queue on the machine of this process, if somebody listens."""
-    if hear is None:
+def _report_queue(ray: Any, on_report: Callable[[Any], None] | None) -> Iterator[Any]:
+    """Yield a queue on this machine; None without ``on_report``."""
+    if on_report is None:
         yield None
         return
     from ray.util.queue import Queue
@@ -160,32 +160,30 @@ def _reports(ray: Any, hear: Callable[[Any], None] | None) -> Iterator[Any]:
             reports.shutdown(force=True)
 
 
-def _hear_all(ray: Any, reports: Any, hear: Callable[[Any], None] | None) -> None:
-    """What was reported so far; a queue that is gone is no reason to end the work."""
-    if hear is None:
+def _forward_reports(ray: Any, reports: Any, on_report: Callable[[Any], None] | None) -> None:
+    """Call ``on_report`` with all queued reports. A lost queue does not end the work."""
+    if on_report is None:
         return
     try:
         for report in reports.get_nowait_batch(reports.qsize()):
-            hear(report)
+            on_report(report)
     except ray.exceptions.RayError:
-        _log.warning("progress is no longer heard of; the work goes on")
+        _log.warning("the queue of progress reports was lost; the work continues")
 
 
 @dataclasses.dataclass(frozen=True)
-class _Tell:
-    reports: Any
+class _Report:
+    queue: Any
 
     def __call__(self, report: Any) -> None:
         import ray
 
         with contextlib.suppress(ray.exceptions.RayError):
-            self.reports.put(report)
+            self.queue.put(report)
 
 
-def _say_if_nothing_fits(ray: Any, cpus: int, gpus: float) -> None:
-    """Ray waits in silence for a machine that is large enough, since clusters grow."""
+def _warn_if_nothing_fits(ray: Any, cpus: int, gpus: float) -> None:
+    """Log a warning if no machine is large enough: Ray waits for one without a message, since clusters grow."""
     nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
     if not any(node.get("CPU", 0) >= cpus and node.get("GPU", 0) >= gpus for node in nodes):
-        _log.warning(
-            "no machine of the Ray cluster has %d cores and %g GPUs: the work waits for one that has", cpus, gpus
-        )
+        _log.warning("no machine of the Ray cluster has %d cores and %g GPUs; tasks wait until one joins", cpus, gpus)

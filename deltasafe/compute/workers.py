@@ -1,6 +1,7 @@
-"""Worker processes that can be ended at any time: one pipe and one task each.
+"""Worker processes that can be ended at any time, with one pipe and one task each.
 
-A `ProcessPoolExecutor` waits for running tasks when it is closed, and needs a manager process for reports.
+`concurrent.futures.ProcessPoolExecutor` was rejected: on exit it waits for running tasks, and progress reports would
+need a manager process.
 """
 
 import contextlib
@@ -21,13 +22,13 @@ from deltasafe.compute.parent_watchdog import end_with_parent
 __all__ = ["ERROR", "LOST", "REPORT", "RESULT", "Worker", "Workers"]
 
 REPORT, RESULT, ERROR, LOST = "report", "result", "error", "lost"
-"""Kinds of messages of a worker. It is ``LOST`` if its process has ended before its task."""
+"""Kinds of messages from a worker. ``LOST``: its process ended before its task did."""
 _GRACE_S = 2.0
 """From SIGTERM to SIGKILL. Tasks write atomically, and long ones have checkpoints."""
 
 
 class Workers:
-    """At most ``count`` worker processes, started when needed. A lost one takes no other task with it."""
+    """Up to ``count`` worker processes, started on demand. The loss of a process affects only its own task."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -50,7 +51,7 @@ class Workers:
         return [worker for worker in self._workers if worker.index is not None]
 
     def messages(self) -> Iterator[tuple[int, str, Any]]:
-        """Wait for messages; yield at most one of each busy worker: position of its task, kind, value."""
+        """Wait for messages; yield at most one per busy worker: index of its task, kind, value."""
         busy = self.busy()
         wait([each for worker in busy for each in (worker.pipe, worker.process.sentinel)])
         for worker in busy:
@@ -67,36 +68,36 @@ class Workers:
             yield index, kind, value
 
     def end(self) -> None:
-        """End all workers, whatever they do; to be called once more if an interrupt breaks in."""
+        """End all workers. Call it again if an interrupt raises an exception before it has finished."""
         _end(self._workers)
 
 
 class Worker:
-    """A process that does one task at a time.
+    """A process that runs one task at a time.
 
     Attributes:
-        index: position of the task under way; None if it is idle.
-        pipe: this end.
+        index: index of the running task; None if the worker is idle.
+        pipe: the parent's end of the pipe.
     """
 
     def __init__(self, context: SpawnContext) -> None:
         self.index: int | None = None
         self.pipe, theirs = context.Pipe()
-        # daemon: multiprocessing ends it at exit, should all else fail
+        # daemon: as a last resort, multiprocessing ends it at exit
         self.process = context.Process(target=_serve, args=(theirs,), name="worker", daemon=True)
-        resource_tracker.ensure_running()  # started by the first process otherwise, and it unblocks SIGINT
+        resource_tracker.ensure_running()  # the first process would start it, and that unblocks SIGINT
         with contextlib.closing(theirs), sigint_blocked():
             self.process.start()
 
     def begin(self, index: int, work: Callable[..., Any], reports: bool, arguments: tuple[Any, ...]) -> None:
         """Send a task; with ``reports``, its first argument is a callable that sends a report."""
         self.index = index
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it was killed: `receive` finds that
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the process was killed; `receive` reports it
             self.pipe.send((work, reports, arguments))
 
     def receive(self) -> tuple[str, Any] | None:
         """Return the next message, kind and value; None if there is none yet."""
-        is_alive = self.process.is_alive()  # asked first: its last message may come just before its end
+        is_alive = self.process.is_alive()  # checked first: the last message may arrive just before the end
         try:
             if self.pipe.poll():
                 message: tuple[str, Any] = self.pipe.recv()
@@ -107,7 +108,7 @@ class Worker:
 
 
 def _end(workers: "Sequence[Worker]") -> None:
-    """Terminate, kill those that still run after a moment, and wait for all. Interrupts are delayed meanwhile."""
+    """Send SIGTERM, after ``_GRACE_S`` SIGKILL, and wait for all, with interrupts delayed."""
     with interrupts_delayed():
         for worker in workers:
             worker.process.terminate()
@@ -121,7 +122,7 @@ def _end(workers: "Sequence[Worker]") -> None:
 
 
 def _serve(pipe: Connection) -> None:
-    """Do one task after another, until the parent ends this process."""
+    """Run tasks until the parent ends this process or closes the pipe."""
     end_with_parent()
     sending = threading.Lock()
 
@@ -143,7 +144,7 @@ def _serve(pipe: Connection) -> None:
 
 
 def _sendable(error: BaseException) -> Any:
-    """The error with its traceback as the cause, or its text if it cannot be pickled and read again."""
+    """Return the error with its traceback as the cause, or its text if pickling does not preserve it."""
     try:
         wrapped = ExceptionWithTraceback(error, error.__traceback__)
         ForkingPickler.loads(ForkingPickler.dumps(wrapped))

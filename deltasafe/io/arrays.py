@@ -1,4 +1,4 @@
-"""Reading arrays that others have written: no pickle, no more memory than a file of its kind may need, typed errors."""
+"""Read arrays that other programs wrote: no pickle, bounded memory, typed errors."""
 
 import pathlib
 import struct
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
 
-__all__ = ["MOST_BYTES", "UNREADABLE", "read_npz"]
+__all__ = ["MAX_BYTES", "UNREADABLE", "read_npz"]
 
-MOST_BYTES = 2 * 1024**3
-"""Of all arrays of a file together, unpacked; a few kilobytes can claim to hold more than any memory does."""
+MAX_BYTES = 2 * 1024**3
+"""Limit for the decompressed arrays of one file together. A few kilobytes can claim to hold more than any memory."""
 
 UNREADABLE = (
     OSError,
@@ -29,23 +29,23 @@ UNREADABLE = (
     zlib.error,
     zipfile.BadZipFile,
 )
-"""What zip files and arrays that were damaged, or made to deceive, are known to raise."""
+"""Exceptions that damaged or malicious zip files and arrays are known to raise."""
 
 
 def read_npz(path: str | pathlib.Path) -> dict[str, NDArray[Any]]:
-    """All arrays of an ``.npz`` file, by name.
+    """Read all arrays of an ``.npz`` file, by name.
 
     Raises:
-        DataError: the file is missing, damaged, or would take more than ``MOST_BYTES``; or it holds pickled objects.
+        DataError: the file is missing, damaged, larger than ``MAX_BYTES`` when decompressed, or holds pickled objects.
     """
     path = pathlib.Path(path)
     if not path.is_file():
         raise DataError(path, "is missing; restore the file")
     try:
         with zipfile.ZipFile(path) as parts:
-            unpacked = sum(part.file_size for part in parts.infolist())
-        if unpacked > MOST_BYTES:
-            raise DataError(path, f"holds {unpacked} bytes unpacked, more than {MOST_BYTES}; give a smaller file")
+            n_bytes = sum(part.file_size for part in parts.infolist())
+        if n_bytes > MAX_BYTES:
+            raise DataError(path, f"has {n_bytes} bytes when decompressed, more than {MAX_BYTES}; give a smaller file")
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             return dict(arrays)
     except DataError:

@@ -1,4 +1,4 @@
-"""Locks between processes that the kernel releases when the holder ends, however it ends."""
+"""Locks between processes. The kernel releases them when the process that holds them ends, however it ends."""
 
 import contextlib
 import fcntl
@@ -9,7 +9,7 @@ import platform
 import time
 
 from deltasafe.errors import LockedError
-from deltasafe.io.write_errors import naming
+from deltasafe.io.write_errors import translated_write_errors
 
 __all__ = ["FileLock"]
 
@@ -17,23 +17,23 @@ _POLL_S = 0.05
 
 
 class FileLock:
-    """Exclusive lock between processes (flock), held inside a `with` block; its file is removed afterwards.
+    """Exclusive lock between processes (flock), held inside a `with` block. The lock file is removed at the end.
 
     Args:
-        path: the lock file; it holds PID and host of the holder.
-        patience_s: how long to wait for another holder.
+        path: the lock file; it contains PID and host name of the process that holds the lock.
+        timeout_s: how long to wait for the lock.
 
     Raises:
-        LockedError: another process still holds it after ``patience_s``.
-        WriteError: the file cannot be made.
+        LockedError: another process still holds the lock after ``timeout_s``.
+        WriteError: the lock file cannot be created.
     """
 
-    def __init__(self, path: pathlib.Path, patience_s: float = math.inf) -> None:
+    def __init__(self, path: pathlib.Path, timeout_s: float = math.inf) -> None:
         self.path = path
-        self.patience_s = patience_s
+        self.timeout_s = timeout_s
 
     def __enter__(self) -> "FileLock":
-        until_s = time.monotonic() + self.patience_s
+        until_s = time.monotonic() + self.timeout_s
         while not self._try():
             if time.monotonic() > until_s:
                 raise LockedError(
@@ -44,18 +44,18 @@ class FileLock:
 
     def __exit__(self, *exception: object) -> None:
         try:
-            with contextlib.suppress(OSError):  # a file that stays behind locks nothing
-                self.path.unlink()  # before the release: afterwards it may be the next holder's
+            with contextlib.suppress(OSError):  # a lock file that remains locks nothing
+                self.path.unlink()  # before the release: afterwards another process may hold the lock
         finally:
             os.close(self._handle)
 
     def _try(self) -> bool:
-        with naming(self.path):
+        with translated_write_errors(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                # the holder before may have removed the file between open and flock: then this lock is void
+                # the previous holder may have removed the file between open and flock: then this lock is void
                 if os.path.samestat(os.fstat(handle), self.path.stat()):
                     os.truncate(handle, 0)
                     os.write(handle, f"process {os.getpid()} of {platform.node()}\n".encode())

@@ -1,4 +1,4 @@
-"""Frozen dataclasses from their JSON form; the way back is `deltasafe.io.storage.write_json`."""
+"""Convert JSON values to frozen dataclasses. `deltasafe.io.storage.write_json` converts them back."""
 
 import dataclasses
 import types
@@ -9,10 +9,10 @@ __all__ = ["from_json"]
 
 
 def from_json(kind: Any, value: Any) -> Any:
-    """Rebuild the frozen dataclass, tuple, ``X | None`` or scalar ``kind`` from its JSON form.
+    """Convert a JSON value to ``kind``: a frozen dataclass, a tuple, ``X | None``, or a scalar.
 
     Raises:
-        KeyError, TypeError, ValueError: ``value`` is of another form; unknown keys are refused.
+        KeyError, TypeError, ValueError: ``value`` has another form, or unknown keys.
     """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is types.UnionType:

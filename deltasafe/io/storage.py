@@ -1,4 +1,4 @@
-"""Writing so that a reader sees the whole thing or nothing: temporary sibling, fsync, rename. And digests."""
+"""Atomic writes (temporary file, fsync, rename), strict JSON, and digests."""
 
 import contextlib
 import dataclasses
@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from deltasafe.errors import DataError
-from deltasafe.io.temporary_files import RETIRED, exchange, temporary_file, temporary_folder
-from deltasafe.io.write_errors import naming
+from deltasafe.io.temporary_files import BACKUP, swap_names, temporary_file, temporary_folder
+from deltasafe.io.write_errors import translated_write_errors
 
 __all__ = [
     "atomic_file",
@@ -29,16 +29,16 @@ __all__ = [
 
 @contextlib.contextmanager
 def atomic_file(destination: str | pathlib.Path) -> Iterator[pathlib.Path]:
-    """Yield a temporary sibling of ``destination``; on success it is synced to disk and takes its place.
+    """Yield a temporary file; on success, sync it to disk and rename it to ``destination``.
 
-    On an exception the temporary file is removed and ``destination`` is left as it was.
-    The sibling keeps the suffix of ``destination``, so that writers which choose a format by suffix work.
+    On an exception, the temporary file is removed and ``destination`` is unchanged. The temporary file has the suffix
+    of ``destination``, because some libraries choose a format by suffix.
 
     Raises:
-        WriteError: no room, or no permission.
+        WriteError: no space or no permission.
     """
     destination = pathlib.Path(destination)
-    with naming(destination):
+    with translated_write_errors(destination):
         destination.parent.mkdir(parents=True, exist_ok=True)
         temporary = temporary_file(destination)
         try:
@@ -55,19 +55,19 @@ def atomic_file(destination: str | pathlib.Path) -> Iterator[pathlib.Path]:
 def atomic_folder(
     destination: str | pathlib.Path, named: Callable[[pathlib.Path], str] | None = None
 ) -> Iterator[pathlib.Path]:
-    """Yield an empty temporary sibling folder; on success it takes the place of ``destination`` as a whole.
+    """Yield an empty temporary folder; on success, sync it to disk and rename it to ``destination``.
 
-    An existing ``destination`` is replaced, in one step where the file system can exchange two names (Linux); on an
-    exception it is left as it was.
+    An existing ``destination`` is replaced, atomically where the file system can exchange two names (Linux). On an
+    exception it is unchanged.
 
     Args:
-        named: tells the name after all, once the content is complete; for folders that are named by it.
+        named: returns the final name of the complete folder, for folders that are named by their content.
 
     Raises:
-        WriteError: no room, or no permission.
+        WriteError: no space or no permission.
     """
     destination = pathlib.Path(destination)
-    with naming(destination):
+    with translated_write_errors(destination):
         destination.parent.mkdir(parents=True, exist_ok=True)
         temporary = temporary_folder(destination)
         try:
@@ -78,44 +78,49 @@ def atomic_folder(
                 if path.is_file() or path.is_dir():
                     _sync(path)
             temporary.chmod(0o755)
-            _put(temporary, destination)
+            _replace_folder(temporary, destination)
             _sync(destination.parent)
         finally:
             if temporary.exists():
                 shutil.rmtree(temporary)
 
 
-def _put(temporary: pathlib.Path, destination: pathlib.Path) -> None:
+def _replace_folder(temporary: pathlib.Path, destination: pathlib.Path) -> None:
     try:
         temporary.replace(destination)
         return
-    except OSError as error:  # somebody was faster perhaps, so it is not asked before
+    except OSError as error:  # no check beforehand: another process may create the folder in between
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
             raise
-    if not exchange(temporary, destination):
-        retired = temporary_folder(destination, RETIRED)
-        destination.replace(retired)
+    if not swap_names(temporary, destination):
+        backup = temporary_folder(destination, BACKUP)
+        destination.replace(backup)
         temporary.replace(destination)
-        shutil.rmtree(retired)
+        shutil.rmtree(backup)
 
 
 def write_json(destination: str | pathlib.Path, value: Any) -> None:
-    """Write ``value`` as indented JSON with sorted keys, atomically; NaN and infinities are refused."""
+    """Write ``value`` atomically as indented JSON with sorted keys.
+
+    Raises:
+        ValueError: ``value`` contains NaN or infinity.
+        WriteError: no space or no permission.
+    """
     text = json.dumps(value, indent=1, sort_keys=True, allow_nan=False, default=_plain)
     with atomic_file(destination) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def read_json(path: str | pathlib.Path) -> Any:
-    """Read a JSON file, as strictly as all readers of JSON agree on it: no key twice, no number that is not finite.
+    """Read a file of strict JSON: no duplicate keys, finite numbers only.
 
     Raises:
-        DataError: the file is missing, cannot be read, or is not such JSON.
+        DataError: the file is missing, cannot be read, or is not strict JSON.
     """
     path = pathlib.Path(path)
     try:
-        if path.exists() and not path.is_file():  # a pipe would be waited for
-            raise DataError(path, "is no file; restore it")
+        if path.exists() and not path.is_file():  # reading a named pipe would block
+            raise DataError(path, "is not a file; restore it")
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise DataError(path, "is missing; restore the file") from None
@@ -130,10 +135,10 @@ def read_json(path: str | pathlib.Path) -> Any:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Strict JSON, as by `read_json`.
+    """Parse strict JSON: no duplicate keys, finite numbers only.
 
     Raises:
-        ValueError: it is none.
+        ValueError: ``text`` is not strict JSON.
     """
     try:
         return json.loads(text, object_pairs_hook=_object, parse_float=_finite, parse_constant=_finite)
@@ -142,13 +147,13 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def sha256_of_file(path: str | pathlib.Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
+    """Return the SHA-256 of a file in hexadecimal."""
     with pathlib.Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def digest_of(value: Any) -> str:
-    """SHA-256 of a JSON-like value (dataclasses included), independent of key order."""
+    """Return the SHA-256 of a JSON-like value (dataclasses included), independent of the order of keys."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_plain)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 

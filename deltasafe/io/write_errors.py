@@ -1,4 +1,4 @@
-"""Why something could not be written, in words: a full disk says so in as many ways as there are writers."""
+"""Translate failed writes to one typed error. Every library reports a full disk in its own way."""
 
 import contextlib
 import errno
@@ -9,45 +9,46 @@ from collections.abc import Iterator
 
 from deltasafe.errors import WriteError
 
-__all__ = ["naming"]
+__all__ = ["translated_write_errors"]
 
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS)
-_WORDS = {
-    **{re.compile(rf"os error {number}\b"): number for number in _NO_ROOM + _NOT_ALLOWED},
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_NO_PERMISSION = (errno.EACCES, errno.EPERM, errno.EROFS)
+_MESSAGES = {
+    **{re.compile(rf"os error {code}\b"): code for code in _NO_SPACE + _NO_PERMISSION},
     re.compile(r"No space left|requested and \d+ written|disk is full"): errno.ENOSPC,
 }
-"""What other errors than those of Python's own calls contain (safetensors, numpy, SQLite)."""
+"""Messages of exceptions without errno (safetensors, numpy, SQLite), and the errno that they mean."""
 
 
 @contextlib.contextmanager
-def naming(destination: pathlib.Path) -> Iterator[None]:
-    """Errors for want of room or permission come out as such, with the name of what was to be written.
+def translated_write_errors(destination: pathlib.Path) -> Iterator[None]:
+    """Raise a `WriteError` that names ``destination`` if the block fails for lack of space or permission.
 
     Raises:
-        WriteError: of ``destination``.
+        WriteError: ``destination`` cannot be written.
     """
     try:
         yield
     except Exception as error:
-        number = _number(error, destination)
-        if number is None:
+        code = _errno_of(error, destination)
+        if code is None:
             raise
-        remedy = "free room there" if number in _NO_ROOM else "make its folder writable"
-        reason = f"cannot be written ({os.strerror(number)}); {remedy}, or choose another place"
+        remedy = "free space there" if code in _NO_SPACE else "make its folder writable"
+        reason = f"cannot be written ({os.strerror(code)}); {remedy}, or choose another place"
         raise WriteError(destination, reason) from error
 
 
-def _number(error: Exception, destination: pathlib.Path) -> int | None:
-    """The system's number of the reason; None if it is another one, or if it is about another place."""
+def _errno_of(error: Exception, destination: pathlib.Path) -> int | None:
+    """Return the errno of a failed write; None for other failures, and for failures at another place."""
     if isinstance(error, WriteError):
         inner = error.__cause__
-        return _number(inner, destination) if isinstance(inner, Exception) and _is_at(error.path, destination) else None
+        is_here = isinstance(inner, Exception) and _is_at(error.path, destination)
+        return _errno_of(inner, destination) if is_here else None
     if isinstance(error, OSError) and error.errno is not None:
-        about = [pathlib.Path(os.fsdecode(name)) for name in (error.filename, error.filename2) if name is not None]
-        concerns = not about or any(_is_at(path, destination) for path in about)
-        return error.errno if concerns and error.errno in _NO_ROOM + _NOT_ALLOWED else None
-    return next((number for words, number in _WORDS.items() if words.search(str(error))), None)
+        paths = [pathlib.Path(os.fsdecode(name)) for name in (error.filename, error.filename2) if name is not None]
+        is_here = not paths or any(_is_at(path, destination) for path in paths)
+        return error.errno if is_here and error.errno in _NO_SPACE + _NO_PERMISSION else None
+    return next((code for message, code in _MESSAGES.items() if message.search(str(error))), None)
 
 
 def _is_at(path: pathlib.Path, destination: pathlib.Path) -> bool:

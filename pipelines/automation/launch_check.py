@@ -1,6 +1,6 @@
-"""Settings of a whole run are looked at before its first step works: a wrong one must not fail an hour later.
+"""Validate the settings of a whole run before its first step, so that a run does not fail after hours of work.
 
-The launchpad checks names and types; what is a sensible value is known to the library's settings alone.
+The launchpad checks names and types; the settings classes of the library check values.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,13 +16,13 @@ __all__ = ["wrong_settings"]
 
 
 def wrong_settings(run_config: Mapping[str, Any]) -> str:
-    """Try every setting in a run's configuration; names each wrong one with its step, or is empty."""
-    classes, wrong = _config_classes(), []
+    """Validate all settings of a run configuration; return one message with all errors, or an empty string."""
+    classes, errors = _config_classes(), []
     for step, given in run_config.get("ops", {}).items():
         if step in classes and given.get("config"):
-            wrong += [f"{step}: {error}" for error in _errors(classes[step](**given["config"]))]
-    wrong += filter(None, [conflicting_deltas(run_config)])
-    return f"nothing was run, since settings are wrong: {'; '.join(wrong)}" if wrong else ""
+            errors += [f"{step}: {error}" for error in _errors(classes[step](**given["config"]))]
+    errors += filter(None, [conflicting_deltas(run_config)])
+    return f"nothing was run, since settings are wrong: {'; '.join(errors)}" if errors else ""
 
 
 def _errors(config: dg.Config) -> Iterator[str]:
@@ -39,13 +39,13 @@ def _errors(config: dg.Config) -> Iterator[str]:
 
 
 def _config_classes() -> dict[str, type[dg.Config]]:
-    """The config class of each step that has one, by the name of the step."""
+    """Return the config class of each step that has one, by step name."""
     import assets
 
-    found = {}
-    loaded = [*dg.load_assets_from_package_module(assets), *dg.load_asset_checks_from_package_module(assets)]
-    for definition in loaded:
+    classes = {}
+    definitions = [*dg.load_assets_from_package_module(assets), *dg.load_asset_checks_from_package_module(assets)]
+    for definition in definitions:
         op = getattr(definition, "node_def", None)
         if op is not None and op.compute_fn.has_config_arg():
-            found[op.name] = op.compute_fn.get_config_arg().annotation
-    return found
+            classes[op.name] = op.compute_fn.get_config_arg().annotation
+    return classes

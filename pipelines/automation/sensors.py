@@ -1,8 +1,9 @@
-"""What starts work by itself: new labeled images, new scenes, changed inputs; and what cleans up after a crash."""
+"""Sensors: new labeled images, new scenes, changed inputs, and lost runs."""
 
 import os
 import pathlib
 from collections.abc import Sequence
+from typing import Any
 
 import dagster as dg
 
@@ -13,7 +14,7 @@ from pipelines.automation.lost_runs import end_leftover_processes, fail_lost_run
 from pipelines.watched_folders import (
     HANDS_VARIABLE,
     SCENES_VARIABLE,
-    Watched,
+    WatchCursor,
     digest_of_folder,
     watched_hands,
     watched_scenes,
@@ -22,102 +23,104 @@ from pipelines.watched_folders import (
 __all__ = [
     "INTERVAL_VARIABLE",
     "all_sensors",
-    "look_at_images",
-    "look_at_scenes",
+    "check_images",
+    "check_scenes",
 ]
 
 INTERVAL_VARIABLE = "DELTASAFE_SENSOR_INTERVAL_S"
 
+_IMAGES_DESCRIPTION = (
+    f"Starts the job `perception` when labeled images in `incoming/hands` of the home (or in ${HANDS_VARIABLE}) were "
+    "added or changed. It waits until the folder has not changed between two ticks, and skips defective sets."
+)
+_SCENES_DESCRIPTION = (
+    f"Starts the job `single_scene` for every new or changed scene in `incoming/scenes` of the home (or in "
+    f"${SCENES_VARIABLE}), with the ensemble in use."
+)
+_CHANGES_DESCRIPTION = (
+    "Materializes the assets of the group `motion` again when the ensemble in use or the logged scenes have changed."
+)
+_LOST_RUNS_DESCRIPTION = (
+    "Marks runs as failed whose process was killed, frees their pool slots, and kills processes of ended runs."
+)
+
 
 def all_sensors(home: pathlib.Path) -> Sequence[dg.SensorDefinition]:
-    """The sensors for a home."""
-    interval_s = int(os.environ.get(INTERVAL_VARIABLE) or 30)
-    on = dg.DefaultSensorStatus.RUNNING
-    chosen = on if os.environ.get(jobs.UNATTENDED_VARIABLE) == "1" else dg.DefaultSensorStatus.STOPPED
+    """Build the sensors for a home. Those that start work are off unless `$DELTASAFE_UNATTENDED` is 1."""
+    running = dg.DefaultSensorStatus.RUNNING
+    unattended = os.environ.get(jobs.UNATTENDED_VARIABLE) == "1"
+    common: dict[str, Any] = {
+        "minimum_interval_seconds": int(os.environ.get(INTERVAL_VARIABLE) or 30),
+        "default_status": running if unattended else dg.DefaultSensorStatus.STOPPED,
+    }
 
-    @dg.sensor(job=jobs.perception, minimum_interval_seconds=interval_s, default_status=chosen, description=_LABELED)
+    @dg.sensor(job=jobs.perception, description=_IMAGES_DESCRIPTION, **common)
     def labeled_images(context: dg.SensorEvaluationContext) -> dg.SensorResult:
-        return look_at_images(context, watched_hands(home))
+        return check_images(context, watched_hands(home))
 
-    @dg.sensor(job=jobs.single_scene, minimum_interval_seconds=interval_s, default_status=chosen, description=_SCENES)
+    @dg.sensor(job=jobs.single_scene, description=_SCENES_DESCRIPTION, **common)
     def logged_scenes_folder(context: dg.SensorEvaluationContext) -> dg.SensorResult:
-        return look_at_scenes(context, watched_scenes(home))
+        return check_scenes(context, watched_scenes(home))
 
-    @dg.sensor(
-        jobs=[jobs.perception],
-        minimum_interval_seconds=interval_s,
-        default_status=on,
-        description="Fails runs whose process was killed and frees their pool slots; kills processes of ended runs.",
-    )
+    @dg.sensor(jobs=[jobs.perception], description=_LOST_RUNS_DESCRIPTION, **{**common, "default_status": running})
     def lost_runs(context: dg.SensorEvaluationContext) -> dg.SkipReason:
-        done = {
+        found = {
             "marked as failed": fail_lost_runs(context.instance),
             "processes killed of ended runs": end_leftover_processes(context.instance),
         }
-        said = [f"{what}: {', '.join(runs)}" for what, runs in done.items() if runs]
-        return dg.SkipReason("; ".join(said) or "every run has its process, and no process has outlived its run")
+        messages = [f"{action}: {', '.join(runs)}" for action, runs in found.items() if runs]
+        return dg.SkipReason("; ".join(messages) or "no lost run and no leftover process")
 
     follow_changes = dg.AutomationConditionSensorDefinition(
         "follow_changes",
         target=dg.AssetSelection.groups("motion"),
-        minimum_interval_seconds=interval_s,
-        default_status=chosen,
-        description="Plans and executes the scenes anew when another ensemble is in use or other scenes were logged.",
+        description=_CHANGES_DESCRIPTION,
         run_tags=jobs.UNATTENDED,
+        **common,
     )
     return [labeled_images, logged_scenes_folder, follow_changes, lost_runs]
 
 
-def look_at_images(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> dg.SensorResult:
-    """A run of the job `perception` on ``folder`` once its content is new, at rest and well-formed."""
+def check_images(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> dg.SensorResult:
+    """Request a run of the job `perception` if the images of ``folder`` are new, settled and valid."""
     from deltasafe.perception.data.labeled_images import LabeledImageSet
 
-    watched, digest = Watched.from_cursor(context.cursor), digest_of_folder(folder)
+    cursor, digest = WatchCursor.from_json(context.cursor), digest_of_folder(folder)
     if not digest:
-        return _nothing(watched, f"no images in {folder}")
-    if not watched.ripe({"hands": digest}):
-        same = watched.done.get("hands") == digest
-        return _nothing(watched, "nothing new" if same else f"{folder} has changed; waiting until it is at rest")
-    watched.done["hands"] = digest
+        return _skip(cursor, f"no images in {folder}")
+    if not cursor.settled({"hands": digest}):
+        is_known = cursor.done.get("hands") == digest
+        return _skip(cursor, "nothing new" if is_known else f"{folder} has changed; waiting until it is settled")
+    cursor.done["hands"] = digest
     try:
         LabeledImageSet.load(folder)
     except DeltasafeError as error:
-        return _nothing(watched, f"not trained on, until it is changed again: {error}")
+        return _skip(cursor, f"not used for training until it is changed: {error}")
     config = {"ops": {"raw_hands": {"config": {"folder": str(folder)}}}}
     request = dg.RunRequest(run_key=digest, run_config=config, tags={**jobs.ALL_MEMBERS, **jobs.UNATTENDED})
-    return dg.SensorResult([request], cursor=watched.cursor())
+    return dg.SensorResult([request], cursor=cursor.to_json())
 
 
-def look_at_scenes(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> dg.SensorResult:
-    """A partition and a run for every scene folder that is new or changed, at rest and well-formed."""
+def check_scenes(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> dg.SensorResult:
+    """Request a partition and a run for every scene below ``folder`` that is new or changed, settled and valid."""
     from deltasafe.scene import LoggedScene
 
-    now = {path.parent.name: digest_of_folder(path.parent) for path in sorted(folder.glob("*/scene.json"))}
-    watched, requests, refused = Watched.from_cursor(context.cursor), [], []
-    for name in watched.ripe(now):
-        watched.done[name] = now[name]
+    digests = {path.parent.name: digest_of_folder(path.parent) for path in sorted(folder.glob("*/scene.json"))}
+    cursor, requests, refused = WatchCursor.from_json(context.cursor), [], []
+    for name in cursor.settled(digests):
+        cursor.done[name] = digests[name]
         try:
             LoggedScene.load(folder / name)
         except DeltasafeError as error:
             refused.append(str(error))
             continue
         config = {"ops": {"logged_scene": {"config": {"folder": str(folder)}}}}
-        requests.append(dg.RunRequest(f"{name} {now[name]}", config, partition_key=name, tags=jobs.UNATTENDED))
+        requests.append(dg.RunRequest(f"{name} {digests[name]}", config, partition_key=name, tags=jobs.UNATTENDED))
     if not requests:
-        return _nothing(watched, "; ".join(refused) or f"no new scene at rest in {folder}")
-    added = scene_partitions.build_add_request([str(request.partition_key) for request in requests])
-    return dg.SensorResult(requests, dynamic_partitions_requests=[added], cursor=watched.cursor())
+        return _skip(cursor, "; ".join(refused) or f"no new settled scene in {folder}")
+    partitions = scene_partitions.build_add_request([str(request.partition_key) for request in requests])
+    return dg.SensorResult(requests, dynamic_partitions_requests=[partitions], cursor=cursor.to_json())
 
 
-def _nothing(watched: Watched, why: str) -> dg.SensorResult:
-    return dg.SensorResult(skip_reason=why, cursor=watched.cursor())
-
-
-_LABELED = (
-    f"Retrains when labeled images were added or changed in `incoming/hands` below the home, or in ${HANDS_VARIABLE}; "
-    "a folder that is still being written to is left alone."
-)
-_SCENES = (
-    f"Plans and executes every newly logged scene in `incoming/scenes` below the home, or in ${SCENES_VARIABLE}, "
-    "with the ensemble in use."
-)
+def _skip(cursor: WatchCursor, reason: str) -> dg.SensorResult:
+    return dg.SensorResult(skip_reason=reason, cursor=cursor.to_json())

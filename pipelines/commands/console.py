@@ -1,4 +1,4 @@
-"""What a person sees in the terminal: who speaks, what they say, which step failed; not every event."""
+"""The terminal log of a run: progress messages, started and finished steps, checks and errors."""
 
 import logging
 import sys
@@ -16,7 +16,7 @@ _SHOWN = {
 }
 
 
-class _Progress(logging.Handler):
+class _Console(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         meta = getattr(record, "dagster_meta", None) or {}
         event, step = meta.get("dagster_event"), meta.get("step_key") or ""
@@ -32,15 +32,15 @@ class _Progress(logging.Handler):
             text = f"check {evaluation.check_name}: {'passed' if evaluation.passed else 'NOT PASSED'}"
         else:
             return
-        at = self.formatter.formatTime(record, "%H:%M:%S") if self.formatter else ""
-        print(f"{at}  {step:<20} {text}", file=sys.stderr, flush=True)
+        time_of_day = self.formatter.formatTime(record, "%H:%M:%S") if self.formatter else ""
+        print(f"{time_of_day}  {step:<20} {text}", file=sys.stderr, flush=True)
 
 
 @dg.logger
 def progress_console(context: dg.InitLoggerContext) -> logging.Logger:
-    """One line for each thing that a person would want to know."""
+    """Print one line per message, step event and check."""
     logger = logging.Logger("deltasafe", level=logging.INFO)
-    handler = _Progress()
+    handler = _Console()
     handler.setFormatter(logging.Formatter())
     logger.addHandler(handler)
     return logger

@@ -1,15 +1,14 @@
-"""`make demo`: the whole chain as one Dagster run, watched from the terminal; then where everything is."""
+"""`make demo`: run the whole pipeline as one Dagster run, with progress in the terminal, and print a summary."""
 
 import argparse
 import os
 import pathlib
 import sys
 import time
-from typing import Any
 
 from deltasafe.io.storage import read_json, write_json
 from deltasafe.presets import VARIABLE
-from pipelines.automation.lost_runs import fail_lost_runs
+from pipelines.command_line import run_command
 from pipelines.commands.pictures import record_pictures
 from pipelines.commands.provenance import commit, machine
 from pipelines.home import prepare_home
@@ -18,40 +17,38 @@ __all__ = ["main"]
 
 
 def everything():  # type: ignore[no-untyped-def]
-    """The job, found again by name in the processes of its steps."""
+    """Return the job; the processes of its steps import it by this name."""
     from pipelines.definitions import defs
 
     return defs().resolve_job_def("everything")
 
 
-def main() -> int:
-    """Run the job; 0 if every step and every blocking check passed, 1 otherwise."""
+def main(arguments: list[str] | None = None) -> int:
+    """Run the job; return 0 if every step and every blocking check passed, else 1."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.commands.demo", description=__doc__)
     parser.add_argument("--record", type=pathlib.Path, help="also write the figures to this file (docs/results/...)")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    return run_command(lambda: _run(options.record))
+
+
+def _run(recorded: pathlib.Path | None) -> int:
     root = prepare_home()
     preset = os.environ.get(VARIABLE) or "default"
-    if options.record and (root / "store").exists():
-        print(f"{root} holds earlier work, which a run would find finished: its minutes would not be those of a whole")
-        print("run. Record into a fresh home: DELTASAFE_HOME=/some/new/folder make record")
+    if recorded and (root / "store").exists():
+        print(f"{root} contains earlier results, which a run would reuse: its duration would not be that of a whole")
+        print("run. Record in a new home: DELTASAFE_HOME=/some/new/folder make record")
         return 1
-    print(f"Preset {preset!r}; everything that is made goes to {root}", flush=True)
+    print(f"Preset {preset!r}; results are written to {root}", flush=True)
 
     import dagster as dg
 
+    from pipelines.commands.run_job import succeeded
+
     began_s = time.monotonic()
-    with dg.DagsterInstance.get() as instance:
-        fail_lost_runs(instance)  # a killed one would hold its pool for ever
-        loggers: dict[str, Any] = {"loggers": {"console": {"config": {}}}}
-        result = dg.execute_job(dg.reconstructable(everything), instance=instance, run_config=loggers)
-        run_id, success = result.run_id, result.success
-    minutes = (time.monotonic() - began_s) / 60
-    if not success:
-        print(f"\nThe run {run_id} failed after {minutes:.1f} minutes. `make demo` goes on with what is finished;")
-        print("`make ui` shows the run and the failed step.")
+    if not succeeded(dg.reconstructable(everything), {}, "`make demo`"):
         return 1
-    figures = _figures(root) | {"minutes_total": round(minutes, 1)}
-    command = f"make {'record' if options.record else 'demo'}" + ("" if preset == "default" else f" PRESET={preset}")
+    figures = _figures(root) | {"minutes_total": round((time.monotonic() - began_s) / 60, 1)}
+    command = f"make {'record' if recorded else 'demo'}" + ("" if preset == "default" else f" PRESET={preset}")
     record = {
         "figures": figures,
         "command": command,
@@ -60,9 +57,9 @@ def main() -> int:
         "machine": machine(),
     }
     write_json(root / "results.json", record)
-    if options.record:
-        write_json(options.record, record)
-        record_pictures(_folder(root, "augmented_hands"), *_reports(root), options.record.with_suffix(""))
+    if recorded:
+        write_json(recorded, record)
+        record_pictures(_folder(root, "augmented_hands"), *_reports(root), recorded.with_suffix(""))
     _print_summary(root, figures)
     return 0
 
@@ -81,7 +78,7 @@ def _figures(root: pathlib.Path) -> dict[str, float]:
 
 
 def _seeds(root: pathlib.Path) -> dict[str, int]:
-    """As they stand in what was made; members and scenes count up from theirs."""
+    """Read the seeds from the results. Members and scenes have consecutive seeds from the first one on."""
     from deltasafe.perception.data.augmented_set import AugmentedSet
     from deltasafe.trials.executions import load_execution, load_outcomes
     from deltasafe.trials.motions import load_motion
@@ -101,7 +98,7 @@ def _seeds(root: pathlib.Path) -> dict[str, int]:
 
 
 def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
-    from pipelines.commands.run_job import made  # dagster is loaded only once the run is about to begin
+    from pipelines.commands.run_job import made  # imports dagster, which takes seconds
 
     return made(root, asset)
 
@@ -123,7 +120,7 @@ def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:
     print(f"  films               {', '.join(str(film) for film in films) or 'none'}")
     print(f"  frozen ensemble     {_folder(root, 'frozen_ensemble')}")
     if _folder(root, "champion") != _folder(root, "frozen_ensemble"):
-        print(f"  which was refused; the motions are those of {_folder(root, 'champion')}: see `make registry`")
+        print(f"  it was refused; the motions use {_folder(root, 'champion')}: see `make registry`")
     print(f"  figures             {root / 'results.json'}")
     print("  UI                  make ui, then http://127.0.0.1:3000")
 

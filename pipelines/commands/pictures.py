@@ -1,16 +1,16 @@
-"""Pictures of what a recorded run made, in sizes that a page can show."""
+"""Copy pictures of a recorded run into the documentation, in small sizes."""
 
 import pathlib
 import shutil
+
+from deltasafe.io.storage import atomic_folder, read_json
 
 __all__ = ["record_pictures", "record_report"]
 
 
 def record_report(folder: pathlib.Path, destination: pathlib.Path) -> None:
-    """Copy `report.md` with its films, and its plots in few colors; ``destination`` is replaced."""
+    """Copy `report.md`, its films, and its plots with 128 colors; ``destination`` is replaced."""
     from PIL import Image
-
-    from deltasafe.io.storage import atomic_folder
 
     with atomic_folder(destination) as temporary:
         for file in (folder / "report.md", *sorted(folder.glob("*.gif"))):
@@ -24,15 +24,13 @@ def record_report(folder: pathlib.Path, destination: pathlib.Path) -> None:
 def record_pictures(
     augmented: pathlib.Path, calibration: pathlib.Path, safety: pathlib.Path, destination: pathlib.Path
 ) -> None:
-    """For the README: copy the contact sheet, the reliability diagram, and plan and film of the closest execution.
+    """Copy the pictures of the README: contact sheet, reliability diagram, plan and film of the closest execution.
 
     Args:
-        augmented, calibration, safety: folders of the run's augmented set and of its two reports.
+        augmented, calibration, safety: folders of the augmented set and of the two reports.
         destination: folder of the pictures, replaced.
     """
     from PIL import Image
-
-    from deltasafe.io.storage import atomic_folder, read_json
 
     with atomic_folder(destination) as temporary:
         shutil.copyfile(calibration / "reliability.png", temporary / "reliability.png")

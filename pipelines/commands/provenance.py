@@ -1,4 +1,4 @@
-"""By what a figure was made: commit and machine."""
+"""Provenance of a figure: commit and machine."""
 
 import os
 import pathlib
@@ -11,14 +11,14 @@ __all__ = ["commit", "machine"]
 
 
 def commit() -> str:
-    """Twelve digits of the checkout's commit, `-dirty` behind them where files differ from it."""
+    """Return twelve digits of the commit of the checkout, with `-dirty` if files were changed."""
     command = ["git", "-C", str(PROJECT), "describe", "--always", "--dirty", "--abbrev=12", "--exclude", "*"]
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    return found.stdout.strip() or "not a git checkout"
+    finished = subprocess.run(command, capture_output=True, text=True, check=False)
+    return finished.stdout.strip() or "not a git checkout"
 
 
 def machine() -> str:
-    """Cores, processor, GPU, and versions of Python and torch."""
+    """Describe the machine: cores, processor, GPU, versions of Python and torch."""
     import torch
 
     cpu = platform.processor() or platform.machine()

@@ -1,4 +1,4 @@
-"""Records of figures that several commands share: each replaces its own part and leaves the others'."""
+"""JSON records of figures that several commands share."""
 
 import pathlib
 from collections.abc import Mapping
@@ -19,13 +19,14 @@ def merge_part(
     seeds: Mapping[str, Any],
     **about: Any,
 ) -> None:
-    """Merge the figures of one command into a JSON record.
+    """Merge the figures of one command into a JSON record; figures of other commands stay.
 
     Args:
-        destination: ``figures`` of all commands, and under ``parts`` each one's own record.
-        name: of the part; figures that it gave earlier are replaced, those of others stay.
-        command: what made them, with its options; seeds: what it was seeded with.
-        about: whatever else explains the part.
+        destination: file with the ``figures`` of all commands, and under ``parts`` the record of each command.
+        name: name of the part; its earlier figures are replaced.
+        command: the command line.
+        seeds: random seeds of the command.
+        about: other facts about the part.
     """
     destination = pathlib.Path(destination)
     earlier = read_json(destination) if destination.is_file() else {}

@@ -1,4 +1,4 @@
-"""A job as a command runs it, and where its assets are afterwards."""
+"""Run a job from the command line, and find the folders of its assets."""
 
 import pathlib
 from collections.abc import Mapping
@@ -13,22 +13,23 @@ __all__ = ["made", "succeeded"]
 
 
 def succeeded(job: Any, steps: Mapping[str, Mapping[str, Any]], again: str) -> bool:
-    """Run a job to its end, seen in the terminal.
+    """Run a job to its end with progress in the terminal; return whether it succeeded.
 
     Args:
-        job: reconstructable, since its steps are processes of their own.
-        steps: configuration of its steps, by name.
-        again: the command that goes on with what is finished, named if the run fails.
+        job: a reconstructable job, because its steps are separate processes.
+        steps: configuration by step.
+        again: the command that resumes the run; printed if the run fails.
     """
-    config = {"loggers": {"console": {"config": {}}}, "ops": {name: {"config": dict(of)} for name, of in steps.items()}}
+    ops = {name: {"config": dict(config)} for name, config in steps.items()}
     with dg.DagsterInstance.get() as instance:
-        fail_lost_runs(instance)
-        if dg.execute_job(job, instance=instance, run_config=config).success:
+        fail_lost_runs(instance)  # a killed run would hold its pool slots forever
+        run_config = {"loggers": {"console": {"config": {}}}, "ops": ops}
+        if dg.execute_job(job, instance=instance, run_config=run_config).success:
             return True
-    print(f"\nThe run failed. {again} goes on with what is finished; `make ui` shows the failed step.")
+    print(f"\nThe run failed. {again} resumes it and keeps finished work; `make ui` shows the failed step.")
     return False
 
 
 def made(root: pathlib.Path, asset: str) -> pathlib.Path:
-    """The folder of an asset that was last made below the home ``root``."""
+    """Return the folder of the latest version of an asset in the home ``root``."""
     return FolderPointers(home=str(root)).folder(dg.AssetKey(asset))

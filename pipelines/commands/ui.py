@@ -1,52 +1,92 @@
-"""`make ui`: the Dagster UI, its daemon and the MLflow UI on the storage of the home; for this machine alone."""
+"""`make ui`: start the Dagster UI, its daemon and the MLflow UI for the home. They listen on this machine only."""
 
 import argparse
+import errno
 import os
 import signal
+import socket
 import subprocess
 import sys
 
 from deltasafe.compute.processes import stop_session
+from deltasafe.errors import SettingsError
+from deltasafe.io.locks import FileLock
+from pipelines.command_line import run_command
 from pipelines.home import PROJECT, mlflow_ui, prepare_home, tracking_uri
-from pipelines.tracking.mlflow_server import mlflow_command, reached_at
+from pipelines.tracking.mlflow_server import local_address, mlflow_command
 
 __all__ = ["main"]
 
 LOOPBACK = ("127.0.0.1", "localhost")
 
 
-def main() -> int:
-    """Run until interrupted."""
+def main(arguments: list[str] | None = None) -> int:
+    """Run the servers until interrupted; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.commands.ui", description=__doc__)
-    parser.add_argument("--port", type=int, default=3000, help="of the Dagster UI (default 3000)")
-    parser.add_argument("--mlflow-port", type=int, default=5000, help="of the MLflow UI (default 5000)")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen at (default: this machine alone)")
-    options = parser.parse_args()
-    shown = reached_at(options.host)
-    if options.host not in LOOPBACK:
-        print(f"Listening at {options.host} without a login: whoever reaches it can start and change everything here.")
+    parser.add_argument("--port", type=int, default=3000, help="port of the Dagster UI (default 3000)")
+    parser.add_argument("--mlflow-port", type=int, default=5000, help="port of the MLflow UI (default 5000)")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
+    options = parser.parse_args(arguments)
+    return run_command(lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
     root = prepare_home()
+    _check_dagster()
     (root / "mlflow").mkdir(exist_ok=True)
+    shown = local_address(options.host)
     dagster = [sys.executable, "-m", "dagster", "dev", "-w", str(PROJECT / "workspace.yaml")]
     commands = [[*dagster, "-h", options.host, "-p", str(options.port)]]
+    _check_port(options.host, options.port, "--port")
     os.environ.setdefault("DELTASAFE_DAGSTER_UI", f"http://{shown}:{options.port}")
     if not tracking_uri(root).startswith("http"):
+        _check_port(options.host, options.mlflow_port, "--mlflow-port")
         os.environ.setdefault("DELTASAFE_MLFLOW_UI", f"http://{shown}:{options.mlflow_port}")
         commands.append(mlflow_command(root, options.mlflow_port, options.host))
-    print(f"Dagster: {os.environ['DELTASAFE_DAGSTER_UI']}")
-    print(f"MLflow:  {mlflow_ui(tracking_uri(root))}/#/experiments?workflowType=machine_learning", flush=True)
-    # a shell starts background jobs with SIGINT ignored; children would inherit that, and Dagster stops its own by it
+    with FileLock(root / "ui.lock", timeout_s=0.0):  # a second daemon would start runs twice
+        if options.host not in LOOPBACK:
+            print(f"Listening on {options.host} without a login: anyone with access can start and change everything.")
+        print(f"Dagster: {os.environ['DELTASAFE_DAGSTER_UI']}")
+        print(f"MLflow:  {mlflow_ui(tracking_uri(root))}/#/experiments?workflowType=machine_learning", flush=True)
+        return _serve(commands)
+
+
+def _serve(commands: list[list[str]]) -> int:
+    """Run the servers until the first one ends or this process is interrupted; return the exit status."""
+    # a shell starts background jobs with SIGINT ignored; Dagster would inherit that, and stops its children by SIGINT
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    running = [subprocess.Popen(command, cwd=PROJECT, start_new_session=True) for command in commands]
+    servers = [subprocess.Popen(command, cwd=PROJECT, start_new_session=True) for command in commands]
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:
-        running[0].wait()
+        return 0 if servers[0].wait() == 0 else 1
     except KeyboardInterrupt:
         print("\nStopping ...", flush=True)
+        return 0
     finally:
-        for process in running:
-            stop_session(process)
-    return 0
+        for server in servers:
+            stop_session(server)
+
+
+def _check_dagster() -> None:
+    """Open Dagster's instance: errors in `dagster.yaml` or its database are reported before any server starts."""
+    import dagster as dg
+
+    with dg.DagsterInstance.get() as instance:
+        instance.get_runs_count()
+
+
+def _check_port(host: str, port: int, option: str) -> None:
+    """Raise SettingsError if a server cannot listen on a port: it is in use, or permission is missing."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as client:
+            if client.connect_ex(address) == 0:  # on macOS, bind succeeds beside a server on all addresses
+                raise OSError(errno.EADDRINUSE, os.strerror(errno.EADDRINUSE))
+        with socket.socket(family, kind, protocol) as server:
+            server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            server.bind(address)
+    except OSError as error:
+        raise SettingsError(f"cannot listen on {host}:{port} ({error.strerror}); choose another {option}") from error
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""Where folders are and what refers to them: below the home alone, or in a store that several homes share."""
+"""The artifact store: where folders of assets are kept, and the pointers to them.
+
+Without `$DELTASAFE_STORE`, both are below the home only; with it, several homes share them.
+"""
 
 import logging
 import pathlib
@@ -12,148 +15,150 @@ from pipelines.storage.shared_store import (
     ObjectError,
     SharedStore,
     StoreAwayError,
-    chosen_store,
     digest_of_manifest,
     manifest_of_folder,
+    store_from_environment,
 )
 
-__all__ = ["Places", "places_of"]
+__all__ = ["ArtifactStore", "artifact_store"]
 
 _log = logging.getLogger("deltasafe.store")
 
-Entry = dict[str, Any]
+Pointer = dict[str, Any]
 
-_MADE = ("store", "frozen")
-"""Folders of the home that only this project writes to; what is changed there may be replaced by what was published."""
-
-
-class Places(Protocol):
-    """What the I/O manager asks for: entries by name, and the folders that entries tell of."""
-
-    def read(self, name: str) -> Entry | None:
-        """An entry; None if there is none."""
-
-    def write(self, name: str, entry: Entry) -> None:
-        """Replace an entry in one step."""
-
-    def put(self, folder: pathlib.Path) -> Entry:
-        """Make a complete folder available to whoever reads the entry."""
-
-    def take(self, entry: Entry, again: str) -> pathlib.Path:
-        """The folder of an entry, on this machine; ``again`` says what to do if it is gone."""
-
-    def recall(self, folder: pathlib.Path) -> None:
-        """Bring a folder that was made elsewhere, if it is not here and there is one."""
-
-    def missing(self, name: str, reason: str) -> DataError:
-        """What to raise if an entry that is needed is not there."""
+_MANAGED = ("store", "frozen")
+"""Folders of the home that only this project writes to. If their content differs from the pointer, it is replaced."""
 
 
-class HomePlaces:
-    """Below the home, and nowhere else."""
+class ArtifactStore(Protocol):
+    """Folders, and pointers to folders by name."""
+
+    def read_pointer(self, name: str) -> Pointer | None:
+        """Return a pointer; None if it does not exist."""
+
+    def write_pointer(self, name: str, pointer: Pointer) -> None:
+        """Replace a pointer atomically."""
+
+    def publish(self, folder: pathlib.Path) -> Pointer:
+        """Make a complete folder available to readers; return a pointer to it."""
+
+    def fetch(self, pointer: Pointer, remedy: str) -> pathlib.Path:
+        """Return the folder of a pointer on this machine; the error for a missing folder names ``remedy``."""
+
+    def restore(self, folder: pathlib.Path) -> None:
+        """Fetch a folder that another machine has published, if it is missing here."""
+
+    def missing_pointer(self, name: str, reason: str) -> DataError:
+        """Create the error for a pointer that does not exist."""
+
+
+class HomeStore:
+    """An artifact store below the home of one machine."""
 
     def __init__(self, home: pathlib.Path) -> None:
         self.home = home
 
-    def read(self, name: str) -> Entry | None:
+    def read_pointer(self, name: str) -> Pointer | None:
         path = self._path(name)
         if not path.is_file():
             return None
-        entry: Entry = read_json(path)
-        return entry
+        pointer: Pointer = read_json(path)
+        return pointer
 
-    def write(self, name: str, entry: Entry) -> None:
-        write_json(self._path(name), entry)
+    def write_pointer(self, name: str, pointer: Pointer) -> None:
+        write_json(self._path(name), pointer)
 
-    def put(self, folder: pathlib.Path) -> Entry:
-        """Relative to the home where it lies below it, so that a home can be moved."""
+    def publish(self, folder: pathlib.Path) -> Pointer:
+        """Return a path relative to the home for folders below it, so that a home can be moved."""
         try:
             return {"folder": folder.resolve().relative_to(self.home.resolve()).as_posix()}
         except ValueError:
             return {"folder": folder.resolve().as_posix()}
 
-    def take(self, entry: Entry, again: str) -> pathlib.Path:
-        folder = self.home / entry["folder"]
+    def fetch(self, pointer: Pointer, remedy: str) -> pathlib.Path:
+        folder = self.home / pointer["folder"]
         if not folder.exists():
-            raise DataError(folder, f"was removed: {again}")
+            raise DataError(folder, f"was removed: {remedy}")
         return folder
 
-    def recall(self, folder: pathlib.Path) -> None:
-        """There is no elsewhere."""
+    def restore(self, folder: pathlib.Path) -> None:
+        """Do nothing: no other machine publishes here."""
 
-    def missing(self, name: str, reason: str) -> DataError:
+    def missing_pointer(self, name: str, reason: str) -> DataError:
         return DataError(self._path(name), reason)
 
     def _path(self, name: str) -> pathlib.Path:
         return self.home / "pointers" / f"{name}.json"
 
 
-class SharedPlaces:
-    """In the store; the home keeps what was made or fetched here.
+class SharedArtifactStore:
+    """An artifact store in a `SharedStore`; the home caches the folders that were made or fetched there.
 
-    Folders of the home have the same name on every machine. Packaged inputs are everywhere and are told by their name
-    and digest; all other folders are somebody else's (images of a user, or watched): they are copied, and read below
-    ``inputs/``.
+    Managed folders have the same name on every machine. A pointer to a packaged input consists of name and digest.
+    Other folders (images of a user, watched folders) are copied, and fetched into ``inputs/``.
     """
 
     def __init__(self, home: pathlib.Path, store: SharedStore) -> None:
         self.home, self.store = home, store
 
-    def read(self, name: str) -> Entry | None:
+    def read_pointer(self, name: str) -> Pointer | None:
         return self.store.read_json(f"pointers/{name}.json")
 
-    def write(self, name: str, entry: Entry) -> None:
-        self.store.write_json(f"pointers/{name}.json", entry)
+    def write_pointer(self, name: str, pointer: Pointer) -> None:
+        self.store.write_json(f"pointers/{name}.json", pointer)
 
-    def put(self, folder: pathlib.Path) -> Entry:
-        whole = folder.resolve()
-        if whole.is_relative_to(DATASETS):
-            digest = digest_of_manifest(manifest_of_folder(whole))
-            return {"packaged": whole.relative_to(DATASETS).as_posix(), "manifest": digest}
-        if any(whole.is_relative_to(self.home.resolve() / made) for made in _MADE):
-            name = whole.relative_to(self.home.resolve()).as_posix()
+    def publish(self, folder: pathlib.Path) -> Pointer:
+        resolved = folder.resolve()
+        if resolved.is_relative_to(DATASETS):
+            digest = digest_of_manifest(manifest_of_folder(resolved))
+            return {"packaged": resolved.relative_to(DATASETS).as_posix(), "manifest": digest}
+        if self._is_below(resolved, _MANAGED):
+            name = resolved.relative_to(self.home.resolve()).as_posix()
         else:
-            name = f"inputs/{folder.name}-{digest_of_manifest(manifest_of_folder(whole))[:16]}"
-        return {"folder": name, "manifest": self.store.publish(whole, name)}
+            name = f"inputs/{folder.name}-{digest_of_manifest(manifest_of_folder(resolved))[:16]}"
+        return {"folder": name, "manifest": self.store.publish(resolved, name)}
 
-    def take(self, entry: Entry, again: str) -> pathlib.Path:
-        if "packaged" in entry:
-            packaged: pathlib.Path = DATASETS / entry["packaged"]
-            if not _is(packaged, entry["manifest"]):
+    def fetch(self, pointer: Pointer, remedy: str) -> pathlib.Path:
+        if "packaged" in pointer:
+            packaged: pathlib.Path = DATASETS / pointer["packaged"]
+            if not _has_digest(packaged, pointer["manifest"]):
                 raise DataError(packaged, "differs from that of the machine which used it; use the same version there")
             return packaged
-        folder = self.home / entry["folder"]
-        if not any(folder.resolve().is_relative_to(self.home.resolve() / made) for made in (*_MADE, "inputs")):
-            place = f"{self.store.address}/pointers"
-            raise ObjectError(place, f"lead to {entry['folder']}, where nothing is ever put; {again}")
-        self._bring(entry["manifest"], folder)
+        folder = self.home / pointer["folder"]
+        if not self._is_below(folder.resolve(), (*_MANAGED, "inputs")):
+            address = f"{self.store.address}/pointers"
+            raise ObjectError(address, f"lead to {pointer['folder']}, where nothing is ever stored; {remedy}")
+        self._download(pointer["manifest"], folder)
         return folder
 
-    def recall(self, folder: pathlib.Path) -> None:
+    def restore(self, folder: pathlib.Path) -> None:
         if folder.exists():
             return
         try:
             digest = self.store.published(folder.relative_to(self.home).as_posix())
             if digest is not None:
-                self._bring(digest, folder)
-        except (ObjectError, StoreAwayError) as error:  # then it is made once more
+                self._download(digest, folder)
+        except (ObjectError, StoreAwayError) as error:  # then the caller makes the folder again
             _log.warning("%s", error)
 
-    def missing(self, name: str, reason: str) -> DataError:
+    def missing_pointer(self, name: str, reason: str) -> DataError:
         return ObjectError(f"{self.store.address}/pointers/{name}.json", reason)
 
-    def _bring(self, digest: str, folder: pathlib.Path) -> None:
+    def _is_below(self, folder: pathlib.Path, parents: tuple[str, ...]) -> bool:
+        return any(folder.is_relative_to(self.home.resolve() / parent) for parent in parents)
+
+    def _download(self, digest: str, folder: pathlib.Path) -> None:
         with FileLock(self.home / "locks" / digest):
-            if not _is(folder, digest):
+            if not _has_digest(folder, digest):
                 _log.info("fetching %s from %s", folder.name, self.store.address)
                 self.store.fetch(digest, folder)
 
 
-def places_of(home: pathlib.Path) -> Places:
-    """For a home: shared if `$DELTASAFE_STORE` is set."""
-    store = chosen_store()
-    return HomePlaces(home) if store is None else SharedPlaces(home, store)
+def artifact_store(home: pathlib.Path) -> ArtifactStore:
+    """Return the artifact store of a home: shared if `$DELTASAFE_STORE` is set."""
+    store = store_from_environment()
+    return HomeStore(home) if store is None else SharedArtifactStore(home, store)
 
 
-def _is(folder: pathlib.Path, digest: str) -> bool:
+def _has_digest(folder: pathlib.Path, digest: str) -> bool:
     return folder.is_dir() and digest_of_manifest(manifest_of_folder(folder)) == digest

@@ -1,4 +1,4 @@
-"""Where the values of assets are: a pointer an asset (and partition) to the folder that it wrote."""
+"""The I/O manager: one pointer per asset (and partition) to the folder that the asset wrote."""
 
 import pathlib
 from typing import Any
@@ -6,24 +6,24 @@ from typing import Any
 import dagster as dg
 
 from deltasafe.compute.parent_watchdog import end_with_parent
-from pipelines.storage.artifact_store import Places, places_of
+from pipelines.storage.artifact_store import ArtifactStore, artifact_store
 
 __all__ = ["FolderPointers"]
 
 
 class FolderPointers(dg.ConfigurableIOManager):
-    """Assets write folders themselves, whole or not at all, and return the path; this remembers it.
+    """Stores a pointer to the folder that an asset returns. Assets write their folders themselves, atomically.
 
-    A pointer is replaced only after its folder is complete, so a reader sees the old version or the new one.
-    A partitioned asset returns `dict[partition, path]` and is read in the same form; who reads it with the
-    metadata `allow_missing_partitions` gets those that were made. Where `$DELTASAFE_STORE` is set, folders are uploaded
-    before they are pointed at, and fetched where they are read.
+    The pointer is replaced when the folder is complete, so a reader gets the old version or the new one.
+    A partitioned asset returns `dict[partition, path]`, and consumers get that. With the metadata
+    `allow_missing_partitions`, they get the existing partitions only. With `$DELTASAFE_STORE`, folders are uploaded
+    before the pointer is written, and downloaded when they are read.
     """
 
     home: str
 
     def setup_for_execution(self, context: dg.InitResourceContext) -> None:
-        """Every step comes by here: its process must not outlive that of its run."""
+        """Let the process of a step end with the process of its run. Every step initializes this resource."""
         end_with_parent()
 
     def handle_output(self, context: dg.OutputContext, obj: Any) -> None:
@@ -36,11 +36,11 @@ class FolderPointers(dg.ConfigurableIOManager):
     def point(
         self, asset_key: dg.AssetKey, folder: pathlib.Path, partition: str | None = None, run_id: str | None = None
     ) -> None:
-        """Remember ``folder`` as the value of an asset, as made by ``run_id`` or by a person."""
-        places = self._places()
-        pointer = {**places.put(folder), "run_id": run_id}
+        """Store ``folder`` as the value of an asset, made by the run ``run_id`` or by hand."""
+        store = self._store()
+        pointer = {**store.publish(folder), "run_id": run_id}
         for scope in dict.fromkeys((run_id, None)):
-            places.write(_pointer(asset_key, partition, scope), pointer)
+            store.write_pointer(_pointer_name(asset_key, partition, scope), pointer)
 
     def load_input(self, context: dg.InputContext) -> Any:
         run_id = context.step_context.run_id
@@ -48,30 +48,30 @@ class FolderPointers(dg.ConfigurableIOManager):
             return self.folder(context.asset_key, run_id=run_id)
         keys = sorted(context.asset_partition_keys)
         if context.definition_metadata.get("allow_missing_partitions", False):
-            places = self._places()
-            keys = [key for key in keys if places.read(_pointer(context.asset_key, key)) is not None]
+            store = self._store()
+            keys = [key for key in keys if store.read_pointer(_pointer_name(context.asset_key, key)) is not None]
         return {key: self.folder(context.asset_key, key, run_id) for key in keys}
 
     def folder(self, asset_key: dg.AssetKey, partition: str | None = None, run_id: str | None = None) -> pathlib.Path:
-        """The folder that ``run_id`` made, if it made one, else the one that was last made by any run.
+        """Return the folder that the run ``run_id`` made; otherwise the latest one.
 
-        So the steps of a run see what their own run made, whatever another run does meanwhile.
+        So the steps of a run read what their own run made, whatever parallel runs make.
 
         Raises:
-            DataError: there is none, or it was removed.
+            DataError: the asset was never made, or its folder was removed.
         """
         name = asset_key.to_user_string() + (f" [{partition}]" if partition else "")
-        places, current = self._places(), _pointer(asset_key, partition)
-        entry = places.read(_pointer(asset_key, partition, run_id)) if run_id else None
-        entry = entry or places.read(current)
-        if entry is None:
-            raise places.missing(current, f"is missing: materialize {name} first")
-        return places.take(entry, f"materialize {name} again")
+        store, current = self._store(), _pointer_name(asset_key, partition)
+        pointer = store.read_pointer(_pointer_name(asset_key, partition, run_id)) if run_id else None
+        pointer = pointer or store.read_pointer(current)
+        if pointer is None:
+            raise store.missing_pointer(current, f"is missing: materialize {name} first")
+        return store.fetch(pointer, f"materialize {name} again")
 
-    def _places(self) -> Places:
-        return places_of(pathlib.Path(self.home))
+    def _store(self) -> ArtifactStore:
+        return artifact_store(pathlib.Path(self.home))
 
 
-def _pointer(asset_key: dg.AssetKey, partition: str | None, run_id: str | None = None) -> str:
+def _pointer_name(asset_key: dg.AssetKey, partition: str | None, run_id: str | None = None) -> str:
     scope = ("runs", run_id) if run_id else ("current",)
     return "/".join((*scope, *asset_key.path, *((partition,) if partition else ())))

@@ -1,4 +1,4 @@
-"""Calls to a tracking server that may be away: written down first, made in order, removed once they are made."""
+"""A queue on disk for calls to a tracking server that may be away: one file per call, replayed in order."""
 
 import logging
 import pathlib
@@ -10,65 +10,64 @@ from typing import Any
 
 from deltasafe.io.storage import read_json, write_json
 
-__all__ = ["PendingCalls"]
+__all__ = ["CallQueue"]
 
 _log = logging.getLogger("deltasafe.tracking")
-_PASSING = re.compile(
+_TRANSIENT = re.compile(
     r"disk is full|disk I/O|No space left|too large|is locked"
     r"|readonly database|unable to open|Permission denied|Read-only"
 )
 
 
-class PendingCalls:
-    """A folder with one file a call, named by the time at which it was asked for.
+class CallQueue:
+    """A folder with one file per pending call, named by the time of the call.
 
-    A call is made again if the process died between making it and removing its file, so making a call twice must
-    do what making it once does.
+    If a process ends after a call and before the file is removed, the call is made again: calls must be idempotent.
 
     Args:
-        folder: below the home; calls that can never be made are set aside in ``refused/`` with the reason.
+        folder: below the home; calls that fail permanently are moved to ``refused/`` with the reason.
     """
 
     def __init__(self, folder: pathlib.Path) -> None:
         self.folder = folder
 
     def add(self, name: str, arguments: Mapping[str, Any]) -> pathlib.Path:
-        """Write the call down, whole or not at all."""
+        """Write a call to its file, atomically."""
         file = self.folder / f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}.json"
         write_json(file, {"call": name, "arguments": dict(arguments)})
         return file
 
     def files(self) -> list[pathlib.Path]:
-        """Calls that were not made yet, oldest first."""
+        """Return the files of pending calls, oldest first."""
         return sorted(path for path in self.folder.glob("*.json") if not path.name.startswith("."))
 
-    def make_all(
-        self, make: Callable[[str, dict[str, Any]], Any], reachable: Callable[[], bool]
+    def replay(
+        self, make: Callable[[str, dict[str, Any]], Any], is_reachable: Callable[[], bool]
     ) -> dict[pathlib.Path, Any]:
-        """Make the calls in order until the server is away; what each returned, by file.
+        """Make the pending calls in order until the server is away; return their results by file.
 
         Args:
             make: makes one call, given its name and arguments.
-            reachable: asked after a failure: if the server is there, the call itself is at fault, and is set aside;
-                unless the fault is one that passes (no room, no permission, a locked database).
+            is_reachable: returns whether the server answers. If it does, a failed call is refused, except for
+                transient failures: no space, no permission, a locked database.
         """
-        made: dict[pathlib.Path, Any] = {}
+        results: dict[pathlib.Path, Any] = {}
         for file in self.files():
             try:
                 call = read_json(file)
-                made[file] = make(call["call"], call["arguments"])
-            except Exception as error:  # whatever it is, a training must not die of it
-                if not reachable() or _PASSING.search(f"{error} {error.__cause__}"):
+                results[file] = make(call["call"], call["arguments"])
+            except Exception as error:  # a failure to record must never end a training
+                if not is_reachable() or _TRANSIENT.search(f"{error} {error.__cause__}"):
                     _log.warning("%d calls wait in %s: %s", len(self.files()), self.folder, error)
                     break
-                self._set_aside(file, error)
+                self._refuse(file, error)
             else:
                 file.unlink()
-        return made
+        return results
 
-    def _set_aside(self, file: pathlib.Path, error: Exception) -> None:
+    def _refuse(self, file: pathlib.Path, error: Exception) -> None:
         refused = self.folder / "refused" / file.name
         refused.parent.mkdir(exist_ok=True)
         refused.with_suffix(".txt").write_text(f"{type(error).__name__}: {error}\n", encoding="utf-8")
         file.replace(refused)
-        _log.warning("could not be recorded and was set aside in %s: %s", refused, error)
+        _log.warning("a call failed permanently and was moved to %s: %s", refused, error)

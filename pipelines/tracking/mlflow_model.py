@@ -1,11 +1,11 @@
-"""The registered model: MLflow loads this file beside the frozen folder and asks it for probabilities."""
+"""Code of the registered model: MLflow loads this file together with the frozen ensemble."""
 
 import mlflow
 import numpy as np
 
 
 class HandEnsemble(mlflow.pyfunc.PythonModel):
-    """uint8 images (B, H, W, 3) -> p_occupied (B, H, W) float32."""
+    """Predicts p_occupied (B, H, W) float32 from images (B, H, W, 3) uint8."""
 
     def load_context(self, context):  # type: ignore[no-untyped-def]
         import deltasafe

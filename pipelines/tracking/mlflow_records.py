@@ -1,9 +1,10 @@
-"""What stands in MLflow: runs of ensembles and members, data sets, figures, versions of the model.
+"""The content of MLflow: runs of ensembles and members, and versions of the model.
 
-Every method does the same when it is called again with the same arguments: runs are found by tags, points of a curve
-carry the time of the call, versions are found by the content of the ensemble.
+Every call has the same effect when it is made again: runs are found by tags, versions by the content of the ensemble,
+and the points of a curve have the time of the call.
 """
 
+import dataclasses
 import json
 import os
 import pathlib
@@ -13,117 +14,139 @@ from importlib.metadata import version
 from typing import Any
 
 from pipelines.home import PROJECT, TRACKING_VARIABLE, mlflow_ui
+from pipelines.tracking.model_versions import MODEL_NAME, ModelVersions
 
-__all__ = ["CHALLENGER", "CHAMPION", "EXPERIMENT", "MODEL_NAME", "MlflowRecords"]
+__all__ = ["EXPERIMENT", "MlflowRecords"]
 
 EXPERIMENT = "deltasafe"
-MODEL_NAME = "deltasafe-hand-ensemble"
-CHAMPION = "champion"
-CHALLENGER = "challenger"
 
 _MODEL_CODE = pathlib.Path(__file__).with_name("mlflow_model.py")
 _REQUIREMENTS = ("torch", "torchvision", "timm", "safetensors", "numpy", "opencv-python-headless")
-_IDENTITY = "deltasafe.identity"
-_MEMBER = "deltasafe.member"
-_POINTS = 200
-_DIGEST_LENGTH = 36
+_IDENTITY_TAG = "deltasafe.identity"
+_MEMBER_TAG = "deltasafe.member"
+_NO_MEMBER = "-"
+_MAX_POINTS = 200
+_MAX_DIGEST_LENGTH = 36
+_BATCH = 1000
 
 
-class MlflowRecords:
+@dataclasses.dataclass(frozen=True)
+class _Origin:
+    """Tags and time of the original call."""
+
+    tags: Mapping[str, str]
+    at_ms: int
+
+
+@dataclasses.dataclass(frozen=True)
+class _Member:
+    """Arguments of the call `member`, besides the identity of the ensemble.
+
+    Attributes:
+        name: name of the member.
+        parameters: settings and seed.
+        losses: loss of every step.
+        epochs: values of every epoch, by metric.
+        data: digests of the training data, by name.
+        figure: path of the figure of the loss.
+    """
+
+    name: str
+    parameters: Mapping[str, str]
+    losses: Sequence[float]
+    epochs: Mapping[str, Sequence[float]]
+    data: Mapping[str, str]
+    figure: str
+
+
+class MlflowRecords(ModelVersions):
     """MLflow at an address.
 
     Args:
-        uri: of a database or a server.
-        home: artifacts of a database lie below it; a server keeps them itself.
+        uri: address of a database or a server.
+        home: artifacts of a database are below it; a server stores them itself.
     """
 
     def __init__(self, uri: str, home: pathlib.Path) -> None:
         import mlflow
 
-        # MLflow also writes the address to the environment, where it would pass for what the user has chosen
+        # MLflow also writes the address to the environment, where it would look like a choice of the user
         chosen = os.environ.get(TRACKING_VARIABLE)
         mlflow.set_tracking_uri(uri)
         os.environ.pop(TRACKING_VARIABLE, None)
         if chosen is not None:
             os.environ[TRACKING_VARIABLE] = chosen
         self.uri = uri
-        self.client = mlflow.MlflowClient(uri)
+        super().__init__(mlflow.MlflowClient(uri))
         known = self.client.get_experiment_by_name(EXPERIMENT)
         location = None if uri.startswith("http") else (home / "mlflow" / "artifacts").as_uri()
         self.experiment = known.experiment_id if known else self.client.create_experiment(EXPERIMENT, location)
 
-    def make(self, name: str, arguments: dict[str, Any]) -> str:
-        """Make the call ``name`` of `MlflowTracker`; the address of the page that shows it."""
-        address: str = getattr(self, f"record_{name}")(**arguments)
-        return address
+    def make(self, name: str, arguments: Mapping[str, Any]) -> str:
+        """Make a queued call of `MlflowTracker`; return the address of the page that shows the result."""
+        values = dict(arguments)
+        origin = _Origin(values.pop("tags"), values.pop("at_ms"))
+        if name == "member":
+            return self._record_member(values.pop("identity"), _Member(**values), origin)
+        if name == "report":
+            return self._record_report(origin, **values)
+        if name == "register":
+            return self._register(origin, **values)
+        # queued as `take_out` by earlier versions
+        decide = {"promote": self.promote, "refuse": self.refuse, "demote": self.demote, "take_out": self.demote}[name]
+        decided = decide(values.pop("artifact"), values.pop("because"), **values)
+        return self._page(decided.run_id) if decided.run_id else self.uri
 
-    def record_member(
-        self,
-        identity: str,
-        name: str,
-        parameters: Mapping[str, str],
-        losses: Sequence[float],
-        epochs: Mapping[str, Sequence[float]],
-        data: Mapping[str, str],
-        figure: str,
-        tags: Mapping[str, str],
-        at_ms: int,
-    ) -> str:
-        """A child run: parameters, loss by step, means by epoch, the data that it saw, the picture of its curve."""
+    def _record_member(self, identity: str, member: _Member, origin: _Origin) -> str:
+        """Record a child run: parameters, metrics by step and by epoch, training data, figure of the loss."""
         from mlflow.entities import Metric, Param
 
-        parent = self._run(identity, "", tags)
-        child = self._run(identity, name, {**tags, "mlflow.parentRunId": parent})
-        run = self.client.get_run(child)
-        if "loss" not in run.data.metrics:
-            stride = max(1, len(losses) // _POINTS)
-            metrics = [Metric("loss", losses[k], at_ms, k) for k in range(0, len(losses), stride)]
-            for key, values in epochs.items():
-                metrics += [Metric(key, value, at_ms, epoch) for epoch, value in enumerate(values, start=1)]
-            for first in range(0, len(metrics), 1000):
-                self.client.log_batch(child, metrics=metrics[first : first + 1000])
-        shared = {key: value for key, value in parameters.items() if key != "seed"}
-        for target, meant in ((child, dict(parameters)), (parent, shared)):
-            known = self.client.get_run(target).data.params
-            new = [Param(key, value) for key, value in meant.items() if key not in known]
-            self.client.log_batch(target, params=new)
-        self._log_data(child, data, "training")
-        if pathlib.Path(figure).is_file():
-            self.client.log_artifact(child, figure, "figures")
+        parent = self._run(identity, "", origin.tags)
+        child = self._run(identity, member.name, {**origin.tags, "mlflow.parentRunId": parent})
+        if "loss" not in self.client.get_run(child).data.metrics:
+            n_steps = len(member.losses)
+            steps = range(0, n_steps, max(1, n_steps // _MAX_POINTS))
+            metrics = [Metric("loss", member.losses[step], origin.at_ms, step) for step in steps]
+            for key, values in member.epochs.items():
+                metrics += [Metric(key, value, origin.at_ms, epoch) for epoch, value in enumerate(values, start=1)]
+            for first in range(0, len(metrics), _BATCH):
+                self.client.log_batch(child, metrics=metrics[first : first + _BATCH])
+        shared = {key: value for key, value in member.parameters.items() if key != "seed"}
+        for run, parameters in ((child, member.parameters), (parent, shared)):
+            known = self.client.get_run(run).data.params
+            new = [Param(key, value) for key, value in parameters.items() if key not in known]
+            self.client.log_batch(run, params=new)
+        self._log_data(child, member.data, "training")
+        if pathlib.Path(member.figure).is_file():
+            self.client.log_artifact(child, member.figure, "figures")
         self.client.set_terminated(child)
         return self._page(child)
 
-    def record_report(
-        self,
-        identity: str,
-        figures: Mapping[str, float],
-        folder: str,
-        data: Mapping[str, str],
-        tags: Mapping[str, str],
-        at_ms: int,
+    def _record_report(
+        self, origin: _Origin, identity: str, figures: Mapping[str, float], folder: str, data: Mapping[str, str]
     ) -> str:
-        """Figures of a calibration report, its files, and the images that it judged on, with the ensemble's run."""
+        """Record figures, files and test images of a calibration report in the run of the ensemble."""
         from mlflow.entities import Metric
 
         if not pathlib.Path(folder).is_dir():
-            raise FileNotFoundError(f"{folder} is gone; make the report again")
-        run = self._run(identity, "", tags)
-        self.client.log_batch(run, metrics=[Metric(key, value, at_ms, 0) for key, value in figures.items()])
+            raise FileNotFoundError(f"{folder} is missing; make the report again")
+        run = self._run(identity, "", origin.tags)
+        self.client.log_batch(run, metrics=[Metric(key, value, origin.at_ms, 0) for key, value in figures.items()])
         self._log_data(run, data, "testing")
         self.client.log_artifacts(run, folder, "calibration_report")
         self.client.set_terminated(run)
         return self._page(run)
 
-    def record_register(self, identity: str, folder: str, tags: Mapping[str, str], at_ms: int) -> str:
-        """The frozen folder as a model with signature and example, as a version, with the alias `challenger`."""
+    def _register(self, origin: _Origin, identity: str, folder: str) -> str:
+        """Register a frozen ensemble as a version of the model, with signature, example and alias `challenger`."""
         import mlflow
 
-        frozen = pathlib.Path(folder)
-        run = self._run(identity, "", tags)
-        found = self.version_of(frozen.name)
+        artifact = pathlib.Path(folder).name
+        run = self._run(identity, "", origin.tags)
+        found = self.version_of(artifact)
         if found is None:
             with mlflow.start_run(run_id=run), warnings.catch_warnings():
-                # it advises type hints; the signature below says more than they do
+                # MLflow recommends type hints; the signature below says more
                 warnings.simplefilter("ignore", UserWarning)
                 model = mlflow.pyfunc.log_model(
                     name="ensemble",
@@ -133,91 +156,23 @@ class MlflowRecords:
                     pip_requirements=[f"{name}=={version(name)}" for name in _REQUIREMENTS],
                     signature=_signature(),
                     input_example=_example(),
-                    tags={"artifact": frozen.name},
+                    tags={"artifact": artifact},
                 )
-            known = {**tags, "artifact": frozen.name, _IDENTITY: identity}
-            found = mlflow.register_model(model.model_uri, MODEL_NAME, tags=known)
-        if not self._has_alias(CHAMPION, found.version):
-            self.client.set_registered_model_alias(MODEL_NAME, CHALLENGER, found.version)
+            tags = {**origin.tags, "artifact": artifact, _IDENTITY_TAG: identity}
+            found = mlflow.register_model(model.model_uri, MODEL_NAME, tags=tags)
+        self.make_challenger(found)
         return self._page(run)
 
-    def record_promote(
-        self, artifact: str, because: str, tags: Mapping[str, str], at_ms: int, only_as_first: bool = False
-    ) -> str:
-        """The alias `champion` to the version with that content, and a line in the history of champions.
-
-        Args:
-            only_as_first: it was promoted where no champion was known; if there is one after all, it stays.
-        """
-        found, present = self._require(artifact), self.champion()
-        if only_as_first and present is not None and present.version != found.version:
-            reason = f"was never compared with version {present.version}, since the registry was away; freeze it again"
-            return self.record_refuse(artifact, reason, tags, at_ms)
-        self.client.set_registered_model_alias(MODEL_NAME, CHAMPION, found.version)
-        if self._has_alias(CHALLENGER, found.version):
-            self.client.delete_registered_model_alias(MODEL_NAME, CHALLENGER)
-        self.client.set_model_version_tag(MODEL_NAME, found.version, "promoted", because)
-        for tag in ("refused", "taken_out_of_use"):
-            if tag in found.tags:
-                self.client.delete_model_version_tag(MODEL_NAME, found.version, tag)
-        history = self.history()
-        if history[-1:] != [str(found.version)]:
-            self._write_history([*history, str(found.version)])
-        return self._page(found.run_id) if found.run_id else self.uri
-
-    def record_refuse(self, artifact: str, because: str, tags: Mapping[str, str], at_ms: int) -> str:
-        """The version with that content stays challenger; the reason stands on it."""
-        found = self._require(artifact)
-        self.client.set_model_version_tag(MODEL_NAME, found.version, "refused", because)
-        return self._page(found.run_id) if found.run_id else self.uri
-
-    def record_take_out(self, artifact: str, because: str, tags: Mapping[str, str], at_ms: int) -> str:
-        """The version with that content was in use and is no longer; it leaves the history of champions."""
-        found = self._require(artifact)
-        self.client.set_model_version_tag(MODEL_NAME, found.version, "taken_out_of_use", because)
-        self._write_history([number for number in self.history() if number != str(found.version)])
-        return self.uri
-
-    def versions(self) -> list[Any]:
-        """All versions, newest first, with their aliases."""
-        found = self.client.search_model_versions(f"name='{MODEL_NAME}'")
-        return sorted((self.client.get_model_version(MODEL_NAME, v.version) for v in found), key=_number)[::-1]
-
-    def version_of(self, artifact: str) -> Any | None:
-        """The version with that content, if there is one."""
-        return next((found for found in self.versions() if found.tags.get("artifact") == artifact), None)
-
-    def champion(self) -> Any | None:
-        """The version with the alias `champion`."""
-        return next((found for found in self.versions() if CHAMPION in found.aliases), None)
-
-    def history(self) -> list[str]:
-        """Versions in the order in which they became champion; the last one is in use. MLflow's own are str or int."""
-        if not self.versions():
-            return []
-        return list(json.loads(self.client.get_registered_model(MODEL_NAME).tags.get("champions", "[]")))
-
-    def _write_history(self, history: Sequence[str]) -> None:
-        self.client.set_registered_model_tag(MODEL_NAME, "champions", json.dumps(list(history)[-100:]))
-
-    def _has_alias(self, alias: str, number: Any) -> bool:
-        return alias in self.client.get_model_version(MODEL_NAME, number).aliases
-
-    def _require(self, artifact: str) -> Any:
-        found = self.version_of(artifact)
-        if found is None:
-            raise LookupError(f"{MODEL_NAME} has no version with the content {artifact}; freeze and register it again")
-        return found
-
     def _run(self, identity: str, member: str, tags: Mapping[str, str]) -> str:
+        """Find or create the run of an ensemble (``member`` is empty) or of a member, and set its tags."""
         name = member or f"ensemble {identity[:8]}"
-        query = f"tags.`{_IDENTITY}` = '{identity}' and tags.`{_MEMBER}` = '{member or '-'}'"
+        query = f"tags.`{_IDENTITY_TAG}` = '{identity}' and tags.`{_MEMBER_TAG}` = '{member or _NO_MEMBER}'"
         found = self.client.search_runs([self.experiment], query, max_results=1)
-        known = {**tags, _IDENTITY: identity, _MEMBER: member or "-"}
+        wanted = {**tags, _IDENTITY_TAG: identity, _MEMBER_TAG: member or _NO_MEMBER}
         if not found:
-            run_id: str = self.client.create_run(self.experiment, tags=known, run_name=name).info.run_id
+            run_id: str = self.client.create_run(self.experiment, tags=wanted, run_name=name).info.run_id
             return run_id
-        for key, value in known.items():
+        for key, value in wanted.items():
             if found[0].data.tags.get(key) != value:
                 self.client.set_tag(found[0].info.run_id, key, value)
         return str(found[0].info.run_id)
@@ -227,7 +182,7 @@ class MlflowRecords:
 
         inputs = [
             DatasetInput(
-                Dataset(name, digest[:_DIGEST_LENGTH], "local", json.dumps({"sha256": digest})),
+                Dataset(name, digest[:_MAX_DIGEST_LENGTH], "local", json.dumps({"sha256": digest})),
                 [InputTag("mlflow.data.context", use)],
             )
             for name, digest in data.items()
@@ -238,12 +193,8 @@ class MlflowRecords:
         return f"{mlflow_ui(self.uri)}/#/experiments/{self.experiment}/runs/{run}"
 
 
-def _number(found: Any) -> int:
-    return int(found.version)
-
-
 def _example() -> Any:
-    """Two images: an example of one would suggest that batches of one are all there is."""
+    """Return two images: one alone would suggest that the batch size is always one."""
     import numpy as np
 
     gradient = np.linspace(0, 255, 48 * 64 * 3).reshape(48, 64, 3).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""MLflow's server as `make ui` starts it: on the database of the home, or on a team's."""
+"""The command of MLflow's server that `make ui` starts."""
 
 import os
 import pathlib
@@ -7,30 +7,30 @@ import sys
 from pipelines.home import TRACKING_VARIABLE, tracking_uri
 from pipelines.storage.shared_store import STORE_VARIABLE
 
-__all__ = ["ARTIFACTS_VARIABLE", "BACKEND_VARIABLE", "mlflow_command", "reached_at"]
+__all__ = ["ARTIFACTS_VARIABLE", "BACKEND_VARIABLE", "local_address", "mlflow_command"]
 
 BACKEND_VARIABLE = "MLFLOW_BACKEND_STORE_URI"
 ARTIFACTS_VARIABLE = "MLFLOW_ARTIFACTS_DESTINATION"
 
 
 def mlflow_command(root: pathlib.Path, port: int, host: str = "127.0.0.1") -> list[str]:
-    """What to start, on the loopback address unless told otherwise; this process and its children are pointed at it.
+    """Return the command for a server on the database of the home, or on that of a team.
 
-    With `$MLFLOW_BACKEND_STORE_URI` (PostgreSQL) the server is asked for everything, artifacts included; these lie
-    where `$MLFLOW_ARTIFACTS_DESTINATION` says, else in the store of `$DELTASAFE_STORE`, else below the home. The
-    address of the database, which holds a password, is left to the environment, out of the list of processes.
+    With `$MLFLOW_BACKEND_STORE_URI` (PostgreSQL), this function also sets the environment: all calls go through the
+    server, artifacts included. They are stored at `$MLFLOW_ARTIFACTS_DESTINATION`, by default in `$DELTASAFE_STORE`
+    or below the home. The database address contains a password, so it is not part of the command.
     """
     address = ["--host", host, "--port", str(port)]
     if not os.environ.get(BACKEND_VARIABLE):
         return [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", tracking_uri(root), *address]
     store = os.environ.get(STORE_VARIABLE, "").rstrip("/")
-    own = f"{store}/mlflow" if store else (root / "mlflow" / "artifacts").as_uri()
-    os.environ.setdefault(ARTIFACTS_VARIABLE, own)
-    os.environ[TRACKING_VARIABLE] = f"http://{reached_at(host)}:{port}"
-    # one worker: of several, those that start slowly on a busy machine would be killed and started again, for ever
+    artifacts = f"{store}/mlflow" if store else (root / "mlflow" / "artifacts").as_uri()
+    os.environ.setdefault(ARTIFACTS_VARIABLE, artifacts)
+    os.environ[TRACKING_VARIABLE] = f"http://{local_address(host)}:{port}"
+    # one worker: on a busy machine, the server would kill and restart slow ones of several workers forever
     return [sys.executable, "-m", "mlflow", "server", "--workers", "1", *address]
 
 
-def reached_at(host: str) -> str:
-    """Where this machine finds a server of its own that listens at ``host``."""
+def local_address(host: str) -> str:
+    """Return the address at which this machine reaches its own server that listens on ``host``."""
     return "127.0.0.1" if host in ("0.0.0.0", "::") else host

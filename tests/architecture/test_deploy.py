@@ -1,4 +1,4 @@
-"""What deploy/ says agrees with the code, the charts' keys and the page that explains it; nothing is started here."""
+"""The files in deploy/ agree with the code, the Helm chart and the documentation; no service is started."""
 
 import pathlib
 import re
@@ -6,8 +6,7 @@ import re
 import pytest
 import yaml
 
-from pipelines import home, jobs
-from pipelines import watched_folders as watching
+from pipelines import home, jobs, watched_folders
 from pipelines.automation import sensors
 from pipelines.storage import shared_store
 from pipelines.tracking import mlflow_server
@@ -16,9 +15,9 @@ ROOT = pathlib.Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
 FILES = sorted(path for path in DEPLOY.rglob("*") if path.is_file() and path.name != ".env")
 PAGE = (ROOT / "docs" / "how-to" / "team.md").read_text(encoding="utf-8")
-OURS = re.compile(r"\bDELTASAFE_[A-Z_]+\b")
+VARIABLE = re.compile(r"\bDELTASAFE_[A-Z_]+\b")
 ONLY_HERE = {"DELTASAFE_VERSION"}
-"""Read by compose and by nothing else."""
+"""Variables that only compose reads."""
 
 
 def sources():
@@ -38,13 +37,13 @@ def values():
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(DEPLOY).as_posix())
-def test_every_variable_of_ours_is_one_that_the_code_reads(path):
-    named = set(OURS.findall(path.read_text(encoding="utf-8"))) - ONLY_HERE
+def test_the_code_reads_every_deltasafe_variable(path):
+    named = set(VARIABLE.findall(path.read_text(encoding="utf-8"))) - ONLY_HERE
     read = set(re.findall(r'"(DELTASAFE_[A-Z_]+)"', sources()))
     assert named <= read
 
 
-def test_every_setting_of_a_team_is_explained():
+def test_the_documentation_explains_every_variable_of_a_team():
     settings = {
         home.DATABASE_VARIABLE,
         home.TRACKING_VARIABLE,
@@ -53,19 +52,19 @@ def test_every_setting_of_a_team_is_explained():
         mlflow_server.ARTIFACTS_VARIABLE,
         sensors.INTERVAL_VARIABLE,
         jobs.UNATTENDED_VARIABLE,
-        watching.HANDS_VARIABLE,
-        watching.SCENES_VARIABLE,
+        watched_folders.HANDS_VARIABLE,
+        watched_folders.SCENES_VARIABLE,
     }
-    named = {variable for path in FILES for variable in OURS.findall(path.read_text(encoding="utf-8"))}
+    named = {variable for path in FILES for variable in VARIABLE.findall(path.read_text(encoding="utf-8"))}
     assert [name for name in sorted(settings | named) if name not in PAGE] == []
 
 
-def test_dagsters_settings_are_those_of_a_home():
-    there = yaml.safe_load((DEPLOY / "dagster.yaml").read_text(encoding="utf-8"))
-    assert there == yaml.safe_load(home._DAGSTER_YAML + home._POSTGRES)
+def test_the_settings_of_dagster_are_those_of_a_home():
+    settings = yaml.safe_load((DEPLOY / "dagster.yaml").read_text(encoding="utf-8"))
+    assert settings == yaml.safe_load(home._DAGSTER_YAML + home._POSTGRES)
 
 
-def test_no_secret_stands_in_a_file_and_no_port_is_open_to_others():
+def test_files_contain_no_secret_and_ports_are_on_loopback():
     example = (DEPLOY / ".env.example").read_text(encoding="utf-8")
     assert re.findall(r"^(?:POSTGRES_PASSWORD|AWS_SECRET_ACCESS_KEY)=(.*)$", example, re.M) == ["", ""]
     for service in compose()["services"].values():
@@ -78,15 +77,15 @@ def test_no_secret_stands_in_a_file_and_no_port_is_open_to_others():
         assert "healthcheck" in service
 
 
-def test_names_and_ports_of_the_services_fit_together():
+def test_names_and_ports_of_services_agree():
     services = compose()["services"]
     (location,) = yaml.safe_load((DEPLOY / "workspace.yaml").read_text(encoding="utf-8"))["load_from"]
     server = location["grpc_server"]
     code = services[server["host"]]
     assert code["command"][-1] == str(server["port"])
-    assert code["hostname"] == server["host"], "lost runs are looked for by the name of the container"
+    assert code["hostname"] == server["host"], "lost runs are found by the host name of the container"
     assert services["code"]["environment"]["MLFLOW_TRACKING_URI"] == "http://mlflow:5000"
-    assert "mlflow:5000" in services["mlflow"]["command"][-1], "a host that is not allowed is refused"
+    assert "mlflow:5000" in services["mlflow"]["command"][-1], "MLflow refuses other Host headers"
     assert "-master.telemetry=false" in services["objects"]["command"]
     for service in services.values():
         for mount in service.get("volumes", []):
@@ -112,10 +111,10 @@ CHART = {
     "telemetry": {"enabled"},
     "generatePostgresqlPasswordSecret": None,
 }
-"""Keys of the chart's schema (dagster 1.13) that are used; another one would be ignored by Helm, or refused."""
+"""Keys of the schema of the chart (dagster 1.13); Helm ignores or refuses others."""
 
 
-def test_the_helm_values_use_keys_that_the_chart_has():
+def test_the_helm_values_use_keys_of_the_chart():
     found = values()
     assert set(found) == set(CHART)
     for key, known in CHART.items():
@@ -129,7 +128,7 @@ def test_the_helm_values_use_keys_that_the_chart_has():
     assert not [entry for entry in deployment["env"] if "SECRET" in entry["name"] or "DATABASE" in entry["name"]]
 
 
-def test_versions_agree_with_the_pins():
+def test_versions_agree_with_pyproject():
     import tomllib
 
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]

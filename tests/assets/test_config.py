@@ -13,20 +13,20 @@ from deltasafe.presets import PRESETS
 
 
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
-def test_every_setting_of_every_preset_survives_the_way_through_dagster(preset):
+def test_every_setting_of_every_preset_survives_conversion(preset):
     for field in dataclasses.fields(preset):
         settings = getattr(preset, field.name)
         if dataclasses.is_dataclass(settings):
             assert configurable(settings)().settings() == settings
 
 
-def test_nested_values_can_be_set_and_the_rest_keeps_its_default():
+def test_nested_values_can_be_set_and_others_keep_their_defaults():
     config = configurable(TrainingSettings(epochs=7))
-    made = config(network={"backbone": "resnet50"}, batch_size=2).settings()
-    assert made == TrainingSettings(NetworkSettings(backbone="resnet50"), epochs=7, batch_size=2)
+    settings = config(network={"backbone": "resnet50"}, batch_size=2).settings()
+    assert settings == TrainingSettings(NetworkSettings(backbone="resnet50"), epochs=7, batch_size=2)
 
 
-def test_tuples_are_lists_in_the_form():
+def test_tuples_become_lists_and_back():
     config = configurable(AugmentationSettings())
     assert config(left_out=["noise"]).settings().left_out == ("noise",)
 
@@ -42,12 +42,12 @@ def test_an_unknown_key_is_refused_by_dagster():
         dg.materialize([reader], run_config={"ops": {"reader": {"config": {"epoch_count": 3}}}})
 
 
-def test_a_value_outside_its_domain_is_refused_by_the_rules_of_the_library():
+def test_an_invalid_value_raises_the_error_of_the_library():
     with pytest.raises(SettingsError, match="epochs must be at least 1"):
         configurable(TrainingSettings())(epochs=0).settings()
 
 
-def test_a_run_sees_what_the_launchpad_was_given():
+def test_a_run_gets_the_values_of_the_launchpad():
     seen = []
     config_class = configurable(TrainingSettings())
 
@@ -61,7 +61,7 @@ def test_a_run_sees_what_the_launchpad_was_given():
 
 
 @pytest.mark.parametrize(
-    ("settings", "field", "said"),
+    ("settings", "field", "description"),
     [
         (TrainingSettings(), "epochs", "passes over the augmented set"),
         (PRESETS["default"].motion, "gamma1_s", "the tracking bound gamma(v)"),
@@ -70,7 +70,7 @@ def test_a_run_sees_what_the_launchpad_was_given():
     ],
     ids=["own", "one of two", "inherited", "several lines"],
 )
-def test_the_form_says_what_a_setting_means(settings, field, said):
+def test_the_form_shows_the_description_of_a_setting(settings, field, description):
     config_class = configurable(settings)
 
     @dg.asset
@@ -78,4 +78,4 @@ def test_the_form_says_what_a_setting_means(settings, field, said):
         raise AssertionError
 
     fields = reader.op.config_schema.config_type.fields
-    assert said in fields[field].description
+    assert description in fields[field].description

@@ -1,9 +1,9 @@
-"""What the pages of assets show without a click."""
+"""Metadata of assets: summaries, figures, digests and pictures."""
 
 import numpy as np
 from PIL import Image
 
-from assets.reporting import folder_facts, in_short, inline_picture, readable
+from assets.reporting import folder_facts, inline_picture, readable, summary_of
 
 REPORT = """# Calibration report
 
@@ -17,23 +17,23 @@ It supports a delta of 0.02.
 """
 
 
-def test_the_opening_of_a_report_is_shown_and_nothing_of_its_sections():
-    assert in_short(REPORT)["in short"].value == "It was judged on **50 images**.\n\nIt supports a delta of 0.02."
+def test_the_summary_is_the_text_before_the_first_section():
+    assert summary_of(REPORT)["summary"].value == "It was judged on **50 images**.\n\nIt supports a delta of 0.02."
 
 
-def test_a_long_opening_ends_where_the_page_would_hide_it():
-    shown = in_short("# A\n\n" + "\n\n".join(200 * f"{letter} " for letter in "abc"))["in short"].value
+def test_a_long_summary_is_cut_at_a_paragraph_and_wrapped():
+    shown = summary_of("# A\n\n" + "\n\n".join(200 * f"{letter} " for letter in "abc"))["summary"].value
     assert shown.replace("  \n", " ") == 199 * "a " + "a\n\n" + 199 * "b " + "b"
-    assert max(map(len, shown.split("\n"))) <= 62, "no line is cut by the edge of the column"
-    assert in_short("# A\n\n" + 1000 * "a ") == {}
+    assert max(map(len, shown.split("\n"))) <= 62, "no line is wider than the column"
+    assert summary_of("# A\n\n" + 1000 * "a ") == {}
 
 
-def test_tables_and_pictures_are_left_to_the_report():
-    shown = in_short("# A\n\nYes.\n\n| a |\n|---|\n| 1 |\n\n![plot](plot.png)\n\nNo.")["in short"].value
+def test_the_summary_skips_tables_and_pictures():
+    shown = summary_of("# A\n\nYes.\n\n| a |\n|---|\n| 1 |\n\n![plot](plot.png)\n\nNo.")["summary"].value
     assert shown == "Yes.\n\nNo."
 
 
-def test_figures_are_named_and_rounded_for_people():
+def test_figures_get_names_units_and_four_digits():
     figures = {
         "pa": 0.98710412,
         "n_members": 5,
@@ -54,7 +54,7 @@ def test_figures_are_named_and_rounded_for_people():
     }
 
 
-def test_a_digest_stands_for_names_and_contents(tmp_path):
+def test_the_digest_covers_names_and_contents(tmp_path):
     def digest_of(name, files):
         folder = tmp_path / name
         for path, text in files.items():
@@ -69,7 +69,7 @@ def test_a_digest_stands_for_names_and_contents(tmp_path):
     assert folder_facts(tmp_path / "one", "known")["digest"] == "known"
 
 
-def test_a_plot_keeps_its_lettering_and_a_photograph_its_colors(tmp_path):
+def test_plots_become_png_and_photographs_jpeg(tmp_path):
     x, y = np.meshgrid(np.arange(1200), np.arange(900))
     smooth = np.stack([127 + 120 * np.sin(x / 90), 127 + 120 * np.cos(y / 70), 127 + 120 * np.sin((x + y) / 110)], -1)
     noisy = np.clip(smooth + np.random.default_rng(0).normal(0, 25, smooth.shape), 0, 255)

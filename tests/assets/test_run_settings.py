@@ -1,4 +1,4 @@
-"""One delta for a run: the motions' delta also decides report, gate, overview and checks."""
+"""One delta per run: report, gate, overview and checks use the delta of planning."""
 
 import pytest
 
@@ -28,11 +28,11 @@ def run_config(motion=None, report=None):
         (run_config(motion=0.02, report=0.02), 0.02),
     ],
 )
-def test_the_delta_of_the_motions_is_the_delta_of_the_run(config, expected):
+def test_the_delta_of_planning_is_the_delta_of_the_run(config, expected):
     assert planning_delta(config) == expected
 
 
-def test_a_report_about_another_delta_is_refused_before_anything_runs():
+def test_a_report_with_another_delta_is_refused_before_the_run():
     assert conflicting_deltas(run_config(motion=0.02, report=0.02)) == ""
     assert conflicting_deltas(run_config(motion=0.02)) == ""
     assert "0.1, but planned_motions plans with delta 0.02" in conflicting_deltas(run_config(motion=0.02, report=0.1))
@@ -40,5 +40,5 @@ def test_a_report_about_another_delta_is_refused_before_anything_runs():
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_presets_report_about_the_delta_that_they_plan_with(name):
+def test_presets_report_and_plan_with_the_same_delta(name):
     assert PRESETS[name].calibration.planning_delta == PRESETS[name].motion.delta

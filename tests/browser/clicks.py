@@ -1,4 +1,4 @@
-"""What a person does in the Dagster UI, as functions of an open page."""
+"""Actions in the Dagster UI, as functions of an open page."""
 
 import re
 
@@ -14,22 +14,22 @@ CHAIN = {
     ],
     "motion": ["logged_scenes", "occupancy_fields", "planned_motions", "executed_motions", "safety_report"],
 }
-"""Groups of the chain, and their assets."""
+"""Assets of the chain, by group."""
 MARGIN_PX = 12
 
 
 def link(page, text):
-    """By what is written on it, once or (to be measured) twice; its accessible name has that of an icon in it."""
+    """Find a link by its text. The UI may render the text twice, and the accessible name includes that of an icon."""
     return page.get_by_role("link").filter(has_text=re.compile(rf"^({re.escape(text)}\s*)+$")).first
 
 
 def button(page, icon):
-    """By the name of its icon."""
+    """Find a button by the name of its icon."""
     return page.get_by_role("button", name=icon)
 
 
 def dialog_of(page):
-    """The window over the page."""
+    """Return the dialog over the page."""
     return page.locator(".dagster-dialog")
 
 
@@ -39,12 +39,12 @@ def close_dialog(page):
 
 
 def navigate(page, name):
-    """By the navigation at the left edge."""
+    """Click an entry of the navigation on the left."""
     link(page, name).click()
 
 
 def search(page, query):
-    """In the box over a catalog or a graph."""
+    """Enter a query in the search box above a catalog or a graph."""
     page.locator(".CodeMirror").first.click()
     page.keyboard.press("Control+A")
     page.keyboard.insert_text(query)
@@ -59,7 +59,7 @@ def open_asset(page, name, tab="Overview"):
 
 
 def open_markdown(page, key):
-    """Open what an asset's page shows under ``key``; the window that it is shown in."""
+    """Open the Markdown that the page of an asset shows under ``key``; return the dialog."""
     row = page.get_by_role("row").filter(has=page.get_by_text(key, exact=True))
     row.get_by_text("[Show Markdown]").click()
     dialog_of(page).wait_for()
@@ -67,7 +67,7 @@ def open_markdown(page, key):
 
 
 def sizes_of_pictures(shown):
-    """Width and height in pixels of every picture, as decoded by the browser; 0 if it cannot be decoded."""
+    """Return width and height in pixels of every picture as the browser decodes it; 0 if decoding fails."""
     return shown.locator("img").evaluate_all(
         "images => Promise.all(images.map(async image => {"
         " await image.decode().catch(() => 0); return [image.naturalWidth, image.naturalHeight] }))"
@@ -75,7 +75,7 @@ def sizes_of_pictures(shown):
 
 
 def open_graph_of_the_chain(page):
-    """The graph of the chain alone, with the groups opened and everything else out of the way; its rectangle."""
+    """Open the graph of the chain with expanded groups and without panels; return its rectangle."""
     navigate(page, "Lineage")
     button(page, "Hide navigation").click()
     search(page, " or ".join(f'group:"{group}"' for group in CHAIN))
@@ -85,9 +85,9 @@ def open_graph_of_the_chain(page):
     page.get_by_role("menuitem", name="Expand all groups").click()
     for name in (name for names in CHAIN.values() for name in names):
         page.locator("foreignObject").get_by_text(name, exact=True).first.wait_for()
-    page.wait_for_timeout(2000)  # it glides to where it fits
-    button(page, "zoom_out").click()  # away from the buttons at the edge
-    page.wait_for_timeout(5000)  # the states of the assets come last
+    page.wait_for_timeout(2000)  # the animation ends
+    button(page, "zoom_out").click()  # so that no node is below a button
+    page.wait_for_timeout(5000)  # the states of the assets load last
     boxes = [node.bounding_box() for node in page.locator("foreignObject").all()]
     left, top = (min(box[side] for box in boxes) - MARGIN_PX for side in ("x", "y"))
     right = max(box["x"] + box["width"] for box in boxes) + MARGIN_PX
@@ -100,7 +100,7 @@ def show_navigation(page):
 
 
 def open_launchpad(page):
-    """Of the asset or job whose page is open."""
+    """Open the launchpad of the asset or job whose page is open; return the dialog."""
     button(page, "Materialize").first.locator("xpath=following::button[1]").click()
     page.get_by_role("menuitem", name="Open launchpad").click()
     dialog_of(page).locator(".CodeMirror").first.wait_for()
@@ -108,14 +108,14 @@ def open_launchpad(page):
 
 
 def configure(page, yaml):
-    """Write over what the open launchpad holds."""
+    """Replace the configuration in the open launchpad."""
     dialog_of(page).locator(".CodeMirror").first.click()
     page.keyboard.press("Control+A")
     page.keyboard.insert_text(yaml)
 
 
 def end_of_run(page):
-    """Watch the open page of a run, or the list of all, until one has ended, however long that takes."""
+    """Wait without a time limit until a run on the open page has ended; return its status."""
     end = page.get_by_text(re.compile(r"^(Success|Failure|Canceled)$")).first
     end.wait_for(timeout=0)
     return end.inner_text()

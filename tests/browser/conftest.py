@@ -1,4 +1,4 @@
-"""A browser before the Dagster UI as `make ui` starts it, on a fresh home with the smoke preset."""
+"""A browser with the Dagster UI that `make ui` starts, on a new home with the smoke preset."""
 
 import os
 import pathlib
@@ -14,11 +14,11 @@ SCREENSHOTS_VARIABLE = "DELTASAFE_SCREENSHOTS"
 @pytest.fixture(scope="session")
 def browser():
     """Headless Chromium."""
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: `make browser-test` does")
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; run `make browser-test`")
     with api.sync_playwright() as playwright:
         found = find_chromium(playwright)
         if found is None:
-            pytest.skip(f"there is no Chromium: install one, or name it in ${CHROMIUM_VARIABLE}")
+            pytest.skip(f"Chromium is missing: install it, or set ${CHROMIUM_VARIABLE} to its path")
         opened = playwright.chromium.launch(executable_path=found)
         yield opened
         opened.close()
@@ -26,7 +26,7 @@ def browser():
 
 @pytest.fixture(scope="session")
 def ui(browser, tmp_path_factory):
-    """Address of the Dagster UI."""
+    """Return the address of the Dagster UI."""
     folder = tmp_path_factory.mktemp("ui")
     with serve(folder / "home", "smoke", folder / "ui.log") as (address, _):
         yield address
@@ -34,7 +34,7 @@ def ui(browser, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def tab(browser, ui):
-    """One tab, as a person has one."""
+    """Open one tab, which all tests share."""
     context = browser.new_context(viewport={"width": 1500, "height": 1000}, base_url=ui, reduced_motion="reduce")
     context.set_default_timeout(PATIENT_MS)
     yield context.new_page()
@@ -43,14 +43,14 @@ def tab(browser, ui):
 
 @pytest.fixture
 def page(tab):
-    """The tab at the first page of the UI."""
+    """Open the first page of the UI in the tab."""
     tab.goto("/")
     return tab
 
 
 @pytest.fixture(scope="session")
 def screenshot(tab, tmp_path_factory):
-    """Keeps a picture of the page, or of a rectangle of it, for whoever looks."""
+    """Return a function that stores a screenshot of the page, or of a rectangle of it."""
     chosen = os.environ.get(SCREENSHOTS_VARIABLE)
     folder = pathlib.Path(chosen).resolve() if chosen else tmp_path_factory.mktemp("screenshots")
     folder.mkdir(parents=True, exist_ok=True)

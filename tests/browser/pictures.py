@@ -1,4 +1,4 @@
-"""`make pictures`: the UI for the README, as it shows what the home holds. Materializes nothing."""
+"""`make pictures`: screenshots of the UI for the README, from the present content of the home."""
 
 import argparse
 import os
@@ -17,7 +17,7 @@ from tests.loopback import serve
 
 
 def main():
-    """0 if both pictures were taken."""
+    """Take the screenshots; return 0 if both were taken."""
     parser = argparse.ArgumentParser(prog="python -m tests.browser.pictures", description=__doc__)
     parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("docs/pictures"), metavar="DIR")
     out = parser.parse_args().out
@@ -26,7 +26,7 @@ def main():
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
         chromium = find_chromium(playwright)
         if chromium is None:
-            print(f"there is no Chromium: install one, or name it in ${CHROMIUM_VARIABLE}", file=sys.stderr)
+            print(f"Chromium is missing: install it, or set ${CHROMIUM_VARIABLE} to its path", file=sys.stderr)
             return 1
         with serve(home(), preset, pathlib.Path(folder, "ui.log")) as (address, _):
             browser = playwright.chromium.launch(executable_path=chromium)

@@ -1,6 +1,6 @@
-"""The UI, used by clicks: run the whole chain, read a report, set something wrong, read why not.
+"""The UI, used by clicks: run the whole chain, read reports, enter invalid settings, read the errors.
 
-One story in chapters: each test goes on where the one before has left the home.
+The tests build on each other: each continues with the home of the previous one.
 """
 
 import re
@@ -25,9 +25,9 @@ from tests.browser.clicks import (
     sizes_of_pictures,
 )
 
-SHOWN = {
-    "raw_hands": ["some of them"],
-    "test_hands": ["some of them"],
+PICTURES = {
+    "raw_hands": ["examples"],
+    "test_hands": ["examples"],
     "augmented_hands": ["contact sheet"],
     "ensemble_member": ["loss"],
     "calibration_report": ["report"],
@@ -36,15 +36,15 @@ SHOWN = {
     "planned_motions": ["first motion"],
     "safety_report": ["plans"],
 }
-"""Where a page shows pictures."""
-LEAST = {"calibration_report": 4}
-TOLD = re.compile(r"[\s\S]{100}")
-"""What tells a report in short has so many letters at least."""
+"""Metadata with pictures, by asset."""
+MIN_PICTURES = {"calibration_report": 4}
+SUMMARY = re.compile(r"[\s\S]{100}")
+"""A summary has at least so many characters."""
 
 
 @pytest.fixture(scope="module")
 def outcome(tab, screenshot):
-    """Of the run of the whole chain, begun as somebody would who has read nothing, and watched to its end."""
+    """Run the whole chain by the most obvious clicks; return the status at its end."""
     tab.goto("/")
     navigate(tab, "Jobs")
     link(tab, "everything").click()
@@ -55,7 +55,7 @@ def outcome(tab, screenshot):
     dialog_of(tab).wait_for(state="detached")
     navigate(tab, "Runs")
     tab.get_by_text("Show runs within backfills").click()
-    end_of_run(tab)  # the list is at rest meanwhile; the page of the run would draw every event
+    end_of_run(tab)  # on the list of runs: the page of the run would render every event
     tab.get_by_role("link").filter(has_text=re.compile(r"^[0-9a-f]{8}$")).first.click()
     outcome = end_of_run(tab)
     screenshot("run")
@@ -67,7 +67,7 @@ def gate(miou):
 
 
 def end_of_a_run_with(page, miou):
-    """Of the calibration report, materialized with that gate."""
+    """Materialize the calibration report with that gate; return the status of the run."""
     open_asset(page, "calibration_report")
     launchpad = open_launchpad(page)
     configure(page, gate(miou))
@@ -76,7 +76,7 @@ def end_of_a_run_with(page, miou):
     return end_of_run(page)
 
 
-def test_a_newcomer_finds_the_chain_and_its_groups(page, screenshot):
+def test_the_catalog_shows_the_chain_by_groups(page, screenshot):
     navigate(page, "Catalog")
     for group, names in CHAIN.items():
         search(page, f'group:"{group}"')
@@ -94,7 +94,7 @@ def test_every_asset_of_the_chain_is_shown_as_made(page, outcome):
     for group, names in CHAIN.items():
         search(page, f'group:"{group}"')
         link(page, names[-1]).wait_for()
-        whole = [name for name in names if name != "ensemble_member"]  # whose partitions are counted instead
+        whole = [name for name in names if name != "ensemble_member"]  # the UI counts its partitions instead
         page.get_by_text(re.compile("^Materialized")).nth(len(whole) - 1).wait_for()
         assert page.get_by_text("Never materialized").count() == 0
 
@@ -104,30 +104,30 @@ def test_the_graph_shows_the_whole_chain(page, screenshot, outcome):
     show_navigation(page)
 
 
-@pytest.mark.parametrize("name", SHOWN)
-def test_a_page_shows_its_asset_in_pictures_that_the_browser_can_draw(page, screenshot, outcome, name):
+@pytest.mark.parametrize("name", PICTURES)
+def test_the_pictures_of_an_asset_can_be_decoded(page, screenshot, outcome, name):
     open_asset(page, name)
     page.get_by_text("digest", exact=True).wait_for()
     screenshot(name)
-    for key in SHOWN[name]:
+    for key in PICTURES[name]:
         shown = open_markdown(page, key)
         shown.locator("img").first.wait_for()
         sizes = sizes_of_pictures(shown)
         screenshot(f"{name}-{key}")
         close_dialog(page)
-        assert len(sizes) >= LEAST.get(name, 1)
+        assert len(sizes) >= MIN_PICTURES.get(name, 1)
         assert all(width >= 200 and height >= 80 for width, height in sizes), sizes
 
 
 @pytest.mark.parametrize("name", ["calibration_report", "safety_report"])
-def test_a_report_is_told_in_short_without_a_click(page, outcome, name):
+def test_a_report_shows_its_summary_without_a_click(page, outcome, name):
     open_asset(page, name)
-    row = page.get_by_role("row").filter(has=page.get_by_text("in short", exact=True))
-    told = row.filter(has_text=TOLD).inner_text()  # Markdown is drawn some time after its row
-    assert "Show Markdown" not in told
+    row = page.get_by_role("row").filter(has=page.get_by_text("summary", exact=True))
+    text = row.filter(has_text=SUMMARY).inner_text()  # Markdown is drawn some time after its row
+    assert "Show Markdown" not in text
 
 
-def test_a_setting_of_the_wrong_type_is_refused_while_it_is_written(page, screenshot, outcome):
+def test_the_launchpad_refuses_a_setting_of_the_wrong_type(page, screenshot, outcome):
     open_asset(page, "calibration_report")
     launchpad = open_launchpad(page)
     configure(page, gate("high"))
@@ -139,14 +139,14 @@ def test_a_setting_of_the_wrong_type_is_refused_while_it_is_written(page, screen
     launchpad.get_by_text("No errors").wait_for()
 
 
-def test_a_setting_that_makes_no_sense_is_refused_before_anything_is_computed(page, screenshot, outcome):
+def test_an_invalid_value_is_refused_before_anything_is_computed(page, screenshot, outcome):
     assert end_of_a_run_with(page, 3.0) == "Failure"
     page.get_by_text("nothing was run, since settings are wrong").first.wait_for()
     screenshot("refused")
     assert page.get_by_text("miou must lie in").first.is_visible()
 
 
-def test_the_page_of_a_failed_check_names_its_reason(page, screenshot, outcome):
+def test_the_page_of_a_failed_check_gives_the_reason(page, screenshot, outcome):
     assert end_of_a_run_with(page, 0.999) == "Failure"
     open_asset(page, "calibration_report", tab="Checks")
     page.get_by_text("may_be_frozen", exact=True).first.click()

@@ -1,6 +1,6 @@
 """A run of one long step, for tests that interrupt it.
 
-How: ``workers`` (two worker processes of the local executor) or ``deaf`` (the step swallows interrupts).
+Modes: ``workers`` (two worker processes of the local executor) or ``deaf`` (the step ignores interrupts).
 """
 
 import contextlib
@@ -24,13 +24,13 @@ def sleep() -> None:
 
 
 def mark() -> None:
-    """Say that this process is at work."""
+    """Create a file that shows that this process works."""
     (pathlib.Path(os.environ["LONG_RUN"]) / f"{os.getpid()}").touch()
 
 
 @dg.asset(pool=POOL)
 def long_work() -> None:
-    """What takes an hour."""
+    """Work for an hour."""
     how = os.environ["LONG_RUN_HOW"]
     if how == "workers":
         with contextlib.closing(LOCAL.run([Task("", sleep)] * 2, 2, Needs(apart=True))) as finished:
@@ -45,7 +45,7 @@ def long_work() -> None:
 
 
 def job() -> dg.JobDefinition:
-    """The job, found again by name in the processes of its steps."""
+    """Return the job; the processes of its steps import it by this name."""
     executor = supervised(dg.multiprocess_executor.configured({"start_method": {"forkserver": {}}}))
     resources = {"io_manager": FolderPointers(home=os.environ["LONG_RUN"])}
     assets = [long_work]
@@ -54,8 +54,8 @@ def job() -> dg.JobDefinition:
 
 
 def main(how: str) -> None:
-    """Run it; called as ``python -c``, so that processes find this module by its full name."""
+    """Run the job; called by ``python -c``, so that child processes can import this module by its full name."""
     os.environ["LONG_RUN_HOW"] = how
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored if the tests run in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in background jobs
     with dg.DagsterInstance.get() as instance:
         print(dg.execute_job(dg.reconstructable(job), instance=instance).success)

@@ -1,4 +1,4 @@
-"""The smoke preset through Dagster for real, as `make demo PRESET=smoke` runs it; then what it left behind."""
+"""`make demo PRESET=smoke`, and the results that it leaves."""
 
 import json
 import os
@@ -12,17 +12,18 @@ import pytest
 
 from pipelines.home import tracking_uri
 from pipelines.storage.io_manager import FolderPointers
-from pipelines.tracking.mlflow_records import CHAMPION, EXPERIMENT, MODEL_NAME
+from pipelines.tracking.mlflow_records import EXPERIMENT
+from pipelines.tracking.model_versions import CHAMPION, MODEL_NAME
 
 ROOT = pathlib.Path(__file__).parents[2]
 
-REFUSED = """
+BLOCKED = """
 import sys
-class Refused:
+class Blocked:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] in ("dagster", "mlflow"):
             raise ModuleNotFoundError(name)
-sys.meta_path.insert(0, Refused())
+sys.meta_path.insert(0, Blocked())
 """
 
 
@@ -50,20 +51,20 @@ def folder(home, demo):
     return lambda asset, partition=None: pointers.folder(dg.AssetKey(asset), partition)
 
 
-def test_it_says_where_everything_is(demo, folder):
+def test_the_summary_names_the_results(demo, folder):
     for asset in ("calibration_report", "safety_report", "frozen_ensemble"):
         assert str(folder(asset)) in demo.stdout
     assert "make ui" in demo.stdout
     assert "member_01: finished after" in demo.stderr, "progress is visible"
 
 
-def test_nothing_half_written_is_left(home, demo):
+def test_no_temporary_file_is_left(home, demo):
     hidden = [path for path in home.rglob(".*") if path.parent.name != "dagster"]
     assert hidden == []
     assert not list((home / "store").rglob("checkpoint.safetensors"))
 
 
-def test_every_original_became_as_many_images_as_asked(folder):
+def test_every_original_has_the_configured_number_of_variants(folder):
     from deltasafe.perception.data.augmented_set import AugmentedSet
     from deltasafe.presets import PRESETS
 
@@ -82,12 +83,12 @@ def test_members_differ_and_are_recorded(home, folder):
     assert client.get_model_version_by_alias(MODEL_NAME, CHAMPION).tags["artifact"] == folder("frozen_ensemble").name
 
 
-def test_dagster_and_mlflow_point_at_each_other(home, demo):
+def test_dagster_and_mlflow_link_to_each_other(home, demo):
     from mlflow import MlflowClient
 
     client = MlflowClient(tracking_uri(home))
     found = client.search_runs([client.get_experiment_by_name(EXPERIMENT).experiment_id])
-    assert len(found) == 3, "one for the ensemble, one for each member"
+    assert len(found) == 3, "one for the ensemble and one per member"
     with dg.DagsterInstance.from_config(str(home / "dagster")) as instance:
         (run,) = instance.get_runs(dg.RunsFilter(job_name="everything"))
         pages = {
@@ -98,15 +99,15 @@ def test_dagster_and_mlflow_point_at_each_other(home, demo):
     for record in found:
         assert record.data.tags["dagster_run_id"] == run.run_id
         assert record.data.tags["dagster_run"].endswith(f"/runs/{run.run_id}")
-        assert record.inputs.dataset_inputs, "what it saw, by digest"
+        assert record.inputs.dataset_inputs, "its data, by digest"
         if "mlflow.parentRunId" in record.data.tags:
             assert pages[record.info.run_name].endswith(record.info.run_id)
             assert {"loss", "loss_epoch", "images_per_s"} <= set(record.data.metrics)
             assert [file.path for file in client.list_artifacts(record.info.run_id, "figures")] == ["figures/loss.png"]
-    assert not list((home / "mlflow" / "pending").glob("*.json")), "nothing waits"
+    assert not list((home / "mlflow" / "pending").glob("*.json")), "no call is pending"
 
 
-def test_no_page_is_heavy(home, demo):
+def test_every_asset_page_is_small(home, demo):
     with dg.DagsterInstance.from_config(str(home / "dagster")) as instance:
         for key in instance.get_asset_keys():
             event = instance.get_latest_materialization_event(key)
@@ -114,11 +115,11 @@ def test_no_page_is_heavy(home, demo):
             assert sum(map(len, shown)) < 100_000, key.to_user_string()
 
 
-def test_motions_are_those_of_the_ensemble_in_use(folder):
-    assert folder("champion") == folder("frozen_ensemble"), "the first is promoted"
+def test_the_first_ensemble_is_promoted(folder):
+    assert folder("champion") == folder("frozen_ensemble")
 
 
-def test_the_report_judges_all_pixels_of_all_test_images(folder):
+def test_the_report_evaluates_all_pixels_of_all_test_images(folder):
     from deltasafe.perception.calibration.report import CalibrationReport
 
     report = CalibrationReport.load(folder("calibration_report"))
@@ -128,7 +129,7 @@ def test_the_report_judges_all_pixels_of_all_test_images(folder):
 
 def test_the_frozen_ensemble_loads_without_dagster_and_mlflow(folder, tmp_path):
     frozen = folder("frozen_ensemble")
-    program = f"""{REFUSED}
+    program = f"""{BLOCKED}
 import numpy as np, deltasafe
 p = deltasafe.load_ensemble({str(frozen)!r}).p_occupied(np.full((61, 83, 3), 90, np.uint8))
 np.save({str(tmp_path / "p.npy")!r}, p)
@@ -139,8 +140,8 @@ np.save({str(tmp_path / "p.npy")!r}, p)
     assert np.load(tmp_path / "p.npy", allow_pickle=False).shape == (61, 83)
 
 
-@pytest.mark.filterwarnings("ignore")  # of MLflow's own making
-def test_mlflow_serves_the_same_probabilities(home, folder):
+@pytest.mark.filterwarnings("ignore")  # warnings of MLflow
+def test_the_registered_model_predicts_the_same_probabilities(home, folder):
     import mlflow
 
     import deltasafe
@@ -153,7 +154,7 @@ def test_mlflow_serves_the_same_probabilities(home, folder):
     assert np.abs(np.asarray(model.predict(images)) - expected).max() < 1e-6
 
 
-def test_every_scene_has_an_outcome_with_its_evidence(folder):
+def test_every_scene_has_an_outcome_a_plan_and_a_verdict_if_executed(folder):
     report = json.loads((folder("safety_report") / "report.json").read_text())
     assert report["figures"]["scenes"] == len(report["scenes"]) == 2
     for scene in report["scenes"]:
@@ -162,16 +163,16 @@ def test_every_scene_has_an_outcome_with_its_evidence(folder):
         assert (scene["verdict"] is not None) == (folder("executed_motions") / scene["scene_id"]).is_dir()
 
 
-def test_figures_are_recorded_in_the_agreed_form(home, demo):
+def test_figures_are_recorded_in_the_documented_form(home, demo):
     record = json.loads((home / "results.json").read_text())
     assert set(record) == {"figures", "command", "commit", "seeds", "machine"}
-    agreed = {"minutes_total", "pa", "miou", "nll", "bs", "scenes", "scenes_executed", "contacts"}
-    assert agreed <= set(record["figures"])
+    required = {"minutes_total", "pa", "miou", "nll", "bs", "scenes", "scenes_executed", "contacts"}
+    assert required <= set(record["figures"])
     assert all(isinstance(value, int | float) for value in record["figures"].values())
 
 
-def test_one_member_is_retrained_alone_and_finished_ones_are_found(home, demo):
-    """The range tags make one run train all members; a single partition is a run of its own."""
+def test_one_member_is_materialized_alone(home, demo):
+    """With the range tags of the job, one run makes all members; here, one partition has its own run."""
     program = """
 import dagster as dg
 from pipelines.home import prepare_home

@@ -41,13 +41,13 @@ def specs(defs):
     return {spec.key.to_user_string(): spec for spec in defs.resolve_all_asset_specs()}
 
 
-def test_data_flows_one_way_through_the_chain(defs):
+def test_every_asset_of_the_chain_depends_on_the_one_before(defs):
     found = specs(defs)
     studies = {*STUDY, *PLANNER_STUDY, *SAFETY_STUDY, *TRACKING_STUDY}
     assert set(found) == {*CHAIN, *studies, *SINGLE_SCENE, "test_hands", "logged_scenes"}
     for before, after in itertools.pairwise(CHAIN):
         upstream = {dep.asset_key.to_user_string() for dep in found[after].deps}
-        assert before in upstream, f"{after} does not follow {before}"
+        assert before in upstream, f"{after} does not depend on {before}"
     assert not found["raw_hands"].deps
 
 
@@ -61,7 +61,7 @@ def test_no_training_reads_test_images(defs):
     assert {name for name, spec in specs(defs).items() if spec.group_name == "perception_study"} == STUDY
 
 
-def test_the_chain_neither_waits_for_the_studies_nor_runs_them(defs):
+def test_the_chain_does_not_depend_on_the_studies(defs):
     keys = defs.resolve_job_def("everything").asset_layer.selected_asset_keys
     assert {key.to_user_string() for key in keys} == {*CHAIN, "test_hands", "logged_scenes"}
     found = specs(defs)
@@ -69,7 +69,7 @@ def test_the_chain_neither_waits_for_the_studies_nor_runs_them(defs):
         assert not STUDY & {dep.asset_key.to_user_string() for dep in found[name].deps}
 
 
-def test_everything_is_described_owned_and_versioned(defs):
+def test_every_asset_has_description_owner_kind_version_and_group(defs):
     for name, spec in specs(defs).items():
         assert spec.description, name
         assert spec.owners, name
@@ -79,7 +79,7 @@ def test_everything_is_described_owned_and_versioned(defs):
         assert spec.group_name in ("perception", "motion", "single_scene", *studies), name
 
 
-def test_checks_before_the_freeze_block_it(defs):
+def test_checks_before_the_freeze_are_blocking(defs):
     checks = {spec.name: spec for check in defs.asset_checks for spec in check.check_specs}
     blocking = {name for name, spec in checks.items() if spec.blocking}
     assert blocking >= {"no_image_in_both_sets", "images_match_their_recipes", "learned", "may_be_frozen"}
@@ -87,7 +87,7 @@ def test_checks_before_the_freeze_block_it(defs):
 
 
 def test_a_failed_gate_keeps_the_ensemble_from_being_frozen(tmp_path):
-    """The real gate on a real report of a hopeless ensemble; what comes after it must not run."""
+    """The real gate on a report of an ensemble that is always wrong; downstream assets must not run."""
     frozen = []
 
     @dg.asset
@@ -126,7 +126,7 @@ def test_a_failed_gate_keeps_the_ensemble_from_being_frozen(tmp_path):
     assert frozen == []
 
 
-def test_the_schedule_is_off_and_retrains_every_member(defs):
+def test_the_schedule_is_off_by_default_and_retrains_every_member(defs):
     assert retraining.default_status == dg.DefaultScheduleStatus.STOPPED
     context = dg.build_schedule_context(scheduled_execution_time=datetime.datetime(2030, 1, 6, 3, tzinfo=datetime.UTC))
     request = retraining(context)
@@ -141,18 +141,18 @@ def test_the_schedule_is_off_and_retrains_every_member(defs):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_preset_is_chosen_by_the_environment(monkeypatch, name):
+def test_the_environment_selects_the_preset(monkeypatch, name):
     monkeypatch.setenv(VARIABLE, name)
     assert active() is PRESETS[name]
 
 
-def test_an_unknown_preset_is_refused_with_the_known_ones(monkeypatch):
+def test_an_unknown_preset_is_refused_with_a_list_of_presets(monkeypatch):
     monkeypatch.setenv(VARIABLE, "papre")
     with pytest.raises(SettingsError, match="smoke, default, paper"):
         active()
 
 
-def test_the_paper_preset_is_the_papers():
+def test_the_paper_preset_has_the_settings_of_the_paper():
     paper = PRESETS["paper"]
     assert paper.n_members == 10
     assert (paper.training.network.architecture, paper.training.network.backbone) == ("deeplabv3", "resnet50")
@@ -161,7 +161,7 @@ def test_the_paper_preset_is_the_papers():
     assert (paper.motion.v_min_mps, paper.motion.v_max_mps) == (0.01, 0.2)
 
 
-FINE = {
+SAFE = {
     "contacts": 0,
     "scenes": 3,
     "scenes_executed": 2,
@@ -182,17 +182,17 @@ FINE = {
     ],
     ids=str,
 )
-def test_the_last_checks_fail_for_what_they_are_about(tmp_path, change, safe, tracked):
+def test_the_checks_of_the_safety_report_fail_for_their_own_reason(tmp_path, change, safe, tracked):
     from assets.checks import executions_were_safe, tracking_kept_its_bound
     from deltasafe.io.storage import write_json
 
-    write_json(tmp_path / "report.json", {"figures": {**FINE, **change}})
+    write_json(tmp_path / "report.json", {"figures": {**SAFE, **change}})
     assert executions_were_safe(tmp_path).passed == safe
     assert tracking_kept_its_bound(tmp_path).passed == tracked
 
 
 @pytest.mark.parametrize("whole", [True, False], ids=["all members in one run", "one member"])
-def test_a_member_that_did_not_learn_is_found_and_named_in_its_partition(tmp_path, whole):
+def test_a_member_that_did_not_learn_fails_the_check_of_its_partition(tmp_path, whole):
     from torch import nn
 
     from assets.checks import learned
@@ -208,7 +208,7 @@ def test_a_member_that_did_not_learn_is_found_and_named_in_its_partition(tmp_pat
         pass
 
     @dg.asset(deps=[ensemble_member])
-    def what_follows():
+    def downstream():
         pass
 
     class Folders(dg.ConfigurableIOManager):
@@ -220,7 +220,7 @@ def test_a_member_that_did_not_learn_is_found_and_named_in_its_partition(tmp_pat
 
     span = {"dagster/asset_partition_range_start": first, "dagster/asset_partition_range_end": second}
     result = dg.materialize(
-        [ensemble_member, what_follows, learned],
+        [ensemble_member, downstream, learned],
         resources={"io_manager": Folders()},
         raise_on_error=False,
         **({"tags": span} if whole else {"partition_key": second}),
@@ -232,35 +232,34 @@ def test_a_member_that_did_not_learn_is_found_and_named_in_its_partition(tmp_pat
     if whole:
         assert evaluations[first].passed
         assert evaluations[None].description == evaluations[second].description
-    assert not result.asset_materializations_for_node("what_follows"), "the check blocks"
+    assert not result.asset_materializations_for_node("downstream"), "the check blocks"
 
 
 @pytest.mark.parametrize(
-    ("step", "config", "told"),
+    ("step", "config", "message"),
     [
         ("ensemble_member", {"training": {"epochs": 0}}, "training: epochs must be at least 1, got 0"),
         ("champion", {"level": 2.0}, "level must lie in"),
         ("calibration_report_may_be_frozen", {"miou": 3.0}, "miou must lie in"),
     ],
 )
-def test_a_wrong_setting_is_refused_before_anything_runs(tmp_path, step, config, told):
-    """The first step that asks for the store says so, though the setting is meant for a much later one."""
+def test_an_invalid_setting_of_any_step_is_found(step, config, message):
     from pipelines.automation.launch_check import wrong_settings
 
-    assert re.search(told, wrong_settings({"ops": {step: {"config": config}}}))
+    assert re.search(message, wrong_settings({"ops": {step: {"config": config}}}))
 
 
-def test_a_run_with_a_wrong_setting_computes_nothing(tmp_path):
+def test_a_run_with_an_invalid_setting_of_a_later_step_computes_nothing(tmp_path):
     from assets.perception import champion
     from assets.policies import RETRY_TWICE, no_retry
     from pipelines.resources import StoreResource
 
-    reached = []
+    calls = []
 
     @dg.asset(retry_policy=RETRY_TWICE)
     @no_retry
     def test_hands(store: dg.ResourceParam[Store]):
-        reached.append(store)
+        calls.append(store)
 
     plain = {"tracker": object(), "registry": object()}
     resources = {"store": StoreResource(home=str(tmp_path), datasets=str(tmp_path)), **plain}
@@ -268,34 +267,34 @@ def test_a_run_with_a_wrong_setting_computes_nothing(tmp_path):
     job = dg.Definitions([test_hands, champion, given], resources=resources).resolve_implicit_global_asset_job_def()
     result = job.execute_in_process(run_config={"ops": {"champion": {"config": {"level": 2.0}}}}, raise_on_error=False)
     assert not result.success
-    assert reached == []
+    assert calls == []
     assert not [event for event in result.all_events if event.is_step_up_for_retry]
 
 
-def test_every_asset_that_writes_refuses_such_a_run(defs):
+def test_every_asset_that_uses_the_store_refuses_such_a_run(defs):
     for definition in defs.assets:
-        made = getattr(getattr(definition, "op", None), "compute_fn", None)
-        if made is not None and "store" in definition.required_resource_keys:
-            assert made.decorated_fn.__wrapped__, definition.key
+        function = getattr(getattr(definition, "op", None), "compute_fn", None)
+        if function is not None and "store" in definition.required_resource_keys:
+            assert function.decorated_fn.__wrapped__, definition.key
 
 
-def test_settings_that_are_fine_pass_the_same_look():
+def test_valid_settings_pass_the_launch_check():
     from pipelines.automation.launch_check import wrong_settings
 
-    fine = {"ensemble_member": {"config": {"training": {"epochs": 3}}}, "raw_hands": {}}
-    assert wrong_settings({"ops": fine}) == ""
+    valid = {"ensemble_member": {"config": {"training": {"epochs": 3}}}, "raw_hands": {}}
+    assert wrong_settings({"ops": valid}) == ""
 
 
-def test_bad_input_is_not_tried_again_and_bad_luck_is():
+def test_invalid_input_is_not_retried_and_transient_errors_are():
     from assets.policies import no_retry
     from deltasafe.errors import DataError, WorkerLostError
 
-    tries = []
+    attempts = []
 
     @dg.asset(retry_policy=dg.RetryPolicy(max_retries=2))
     @no_retry
     def reader(context: dg.AssetExecutionContext):
-        tries.append(context.retry_number)
+        attempts.append(context.retry_number)
         raise error
 
     wrong, busy, killed = (
@@ -304,13 +303,13 @@ def test_bad_input_is_not_tried_again_and_bad_luck_is():
         WorkerLostError("out of memory"),
     )
     for error, expected in ((wrong, 1), (busy, 3), (killed, 3)):  # noqa: B007
-        tries.clear()
+        attempts.clear()
         result = dg.materialize([reader], raise_on_error=False)
-        assert len(tries) == expected
+        assert len(attempts) == expected
     assert not result.success
 
 
-def test_what_uses_all_cores_shares_one_pool_and_what_may_fail_by_chance_is_tried_again(defs):
+def test_heavy_assets_share_one_pool_and_are_retried_with_backoff(defs):
     heavy = {"augmented_hands", "ensemble_member", "calibration_report", "planned_motions", "executed_motions"}
     ops = {d.key.to_user_string(): d.op for d in defs.assets if isinstance(d, dg.AssetsDefinition)}
     for name in heavy | {"study_cell", "planner_costs", "planner_times", "scene_motion", "scene_execution"}:
@@ -320,7 +319,7 @@ def test_what_uses_all_cores_shares_one_pool_and_what_may_fail_by_chance_is_trie
         assert (policy.backoff, policy.jitter) == (dg.Backoff.EXPONENTIAL, dg.Jitter.PLUS_MINUS), name
 
 
-def test_a_page_stays_small_whatever_is_shown(tmp_path):
+def test_large_reports_and_pictures_are_reduced_to_the_limit(tmp_path):
     import numpy as np
     from PIL import Image
 
@@ -336,6 +335,6 @@ def test_a_page_stays_small_whatever_is_shown(tmp_path):
     report = inline_report(tmp_path / "report.md").value
     assert len(report) < 100_000
     assert report.count("data:image/") >= 3
-    assert all(f"picture {name}" in report for name in names), "those that do not fit are named"
+    assert all(f"picture {name}" in report for name in names), "pictures that do not fit are named"
     for name in ("0.png", "film.gif"):
         assert len(inline_picture(tmp_path / name, 40_000).value) < 40_000

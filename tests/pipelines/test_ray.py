@@ -9,7 +9,7 @@ import pytest
 from deltasafe.compute.executor import LOCAL
 from deltasafe.compute.ray_executor import RayExecutor, RaySettings
 from deltasafe.errors import SettingsError
-from pipelines.executors import ADDRESS, CPUS, EXECUTOR, GPUS, STEPS, ExecutorResource, steps_on_ray
+from pipelines.executors import ADDRESS, CPUS, EXECUTOR, GPUS, STEPS, ExecutorResource, ray_step_executor
 
 ROOT = pathlib.Path(__file__).parents[2]
 installed = pytest.mark.skipif(
@@ -18,30 +18,30 @@ installed = pytest.mark.skipif(
 )
 
 
-def test_one_machine_is_the_default():
-    assert ExecutorResource.chosen({}).executor() is LOCAL
-    assert steps_on_ray({}) is None
+def test_the_local_executor_is_the_default():
+    assert ExecutorResource.from_environment({}).executor() is LOCAL
+    assert ray_step_executor({}) is None
 
 
 @installed
-def test_a_cluster_is_chosen_by_the_environment():
-    executor = ExecutorResource.chosen(
+def test_environment_variables_choose_a_cluster():
+    executor = ExecutorResource.from_environment(
         {EXECUTOR: "ray", ADDRESS: "ray://head:10001", GPUS: "0.5", CPUS: "4"}
     ).executor()
     assert executor.settings == RaySettings("ray://head:10001", 4, 0.5)
     assert executor.rounds(7, 2) == [(7, 4)]
-    assert steps_on_ray({EXECUTOR: "ray", STEPS: "ray"}).name == "ray"
+    assert ray_step_executor({EXECUTOR: "ray", STEPS: "ray"}).name == "ray"
 
 
 @installed
-def test_steps_on_a_cluster_hold_no_core_and_are_told_no_secrets(monkeypatch):
+def test_steps_on_a_cluster_reserve_no_core_and_get_no_secrets(monkeypatch):
     import pipelines.executors as module
 
-    class Listener:
+    class Executor:
         def configured(self, config):
             return config
 
-    monkeypatch.setattr("dagster_ray.ray_executor", Listener())
+    monkeypatch.setattr("dagster_ray.ray_executor", Executor())
     environment = {
         EXECUTOR: "ray",
         STEPS: "ray",
@@ -49,16 +49,18 @@ def test_steps_on_a_cluster_hold_no_core_and_are_told_no_secrets(monkeypatch):
         "DAGSTER_HOME": "there",
         "PATH": "/bin",
     }
-    found = module.steps_on_ray(environment)["ray"]
+    found = module.ray_step_executor(environment)["ray"]
     *names, path, modules = found["env_vars"]
     assert set(names) == {EXECUTOR, STEPS, "DAGSTER_HOME"}
-    assert path == f"PATH={pathlib.Path(sys.executable).parent}:/bin", "where steps find dagster"
-    assert modules == f"PYTHONPATH={ROOT}", "and where they find the assets"
-    assert not {"num_cpus", "num_gpus"} & set(found), "in the executor's own configuration they would win over tags"
+    assert path == f"PATH={pathlib.Path(sys.executable).parent}:/bin", "so that steps find dagster"
+    assert modules == f"PYTHONPATH={ROOT}", "so that steps find the assets"
+    assert not {"num_cpus", "num_gpus"} & set(found), (
+        "in the configuration of the executor, they would override op_tags"
+    )
 
 
 @pytest.mark.parametrize(
-    ("environment", "told"),
+    ("environment", "message"),
     [
         ({EXECUTOR: "dask"}, "local or ray, got 'dask'"),
         ({ADDRESS: "nowhere"}, "got 'nowhere'"),
@@ -70,20 +72,20 @@ def test_steps_on_a_cluster_hold_no_core_and_are_told_no_secrets(monkeypatch):
         ({CPUS: "1.5"}, f"{CPUS} must be a whole number"),
     ],
 )
-def test_wrong_values_are_refused_before_anything_runs(environment, told):
-    with pytest.raises(SettingsError, match=told):
-        ExecutorResource.chosen(environment).executor()
+def test_invalid_variables_are_refused(environment, message):
+    with pytest.raises(SettingsError, match=message):
+        ExecutorResource.from_environment(environment).executor()
 
 
 @pytest.mark.parametrize("environment", [{STEPS: "moon"}, {STEPS: "ray"}, {STEPS: "ray", EXECUTOR: "local"}])
-def test_steps_elsewhere_need_an_engine_elsewhere(environment):
+def test_steps_on_ray_need_the_ray_executor(environment):
     with pytest.raises(SettingsError, match=STEPS):
-        steps_on_ray(environment)
+        ray_step_executor(environment)
 
 
-def test_an_engine_that_is_not_installed_says_how_it_would_be(monkeypatch):
+def test_a_missing_package_is_reported_with_its_installation(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(SettingsError, match=r"deltasafe\[ray\]"):
         RayExecutor()
     with pytest.raises(SettingsError, match="cluster"):
-        steps_on_ray({EXECUTOR: "ray", STEPS: "ray"})
+        ray_step_executor({EXECUTOR: "ray", STEPS: "ray"})

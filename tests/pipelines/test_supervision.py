@@ -1,4 +1,4 @@
-"""Runs that are interrupted end with all their processes; processes of ended runs are found by PID and start."""
+"""Interrupted runs end with all their processes; processes of ended runs are found by PID and start time."""
 
 import contextlib
 import os
@@ -18,7 +18,7 @@ from tests.pipelines.long_run import POOL
 
 ROOT = pathlib.Path(__file__).parents[2]
 FAILED = dg.DagsterRunStatus.FAILURE
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def instance(tmp_path):
 
 @contextlib.contextmanager
 def long_run(tmp_path, how):
-    """The command in a session of its own, as a terminal starts it; all its processes, once they work."""
+    """Start the command in its own session, as a terminal does; yield it and its PIDs when all of them work."""
     (tmp_path / "dagster.yaml").write_text("concurrency: {pools: {default_limit: 1, granularity: op}}\n")
     variables = {"DAGSTER_HOME": str(tmp_path), "LONG_RUN": str(tmp_path / "marks"), "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", f"from tests.pipelines.long_run import main; main({how!r})"]
@@ -49,7 +49,7 @@ def long_run(tmp_path, how):
 
 
 def wait_until_ended(process, pids):
-    """Wait for all; the watchdog is many times what it takes."""
+    """Wait until all processes have ended; the timeout is many times the usual duration."""
     process.wait(timeout=120)
     until_s = time.monotonic() + 60
     while any(map(is_running, pids)) and time.monotonic() < until_s:
@@ -66,7 +66,7 @@ def wait_until_ended(process, pids):
         ("deaf", [signal.SIGINT]),
     ],
 )
-def test_an_interrupted_run_ends_with_all_its_processes_and_frees_its_pool(tmp_path, instance, how, signals):
+def test_an_interrupted_run_ends_all_processes_and_frees_its_pool_slots(tmp_path, instance, how, signals):
     with long_run(tmp_path, how) as (process, pids):
         assert len(pids) >= (4 if how == "workers" else 2)
         for number in signals:
@@ -79,7 +79,7 @@ def test_an_interrupted_run_ends_with_all_its_processes_and_frees_its_pool(tmp_p
     assert instance.event_log_storage.get_concurrency_info(POOL).active_slot_count == 0
 
 
-def test_a_process_that_outlived_its_run_is_killed_with_its_workers(tmp_path, instance):
+def test_a_process_that_outlives_its_run_is_killed_with_its_workers(tmp_path, instance):
     with long_run(tmp_path, "workers") as (process, pids):
         (run,) = instance.get_runs()
         assert end_leftover_processes(instance) == []
@@ -102,7 +102,7 @@ def recorded():
     return work
 
 
-def test_a_run_records_its_process_and_a_process_without_steps_is_left_alone(instance):
+def test_a_run_records_its_process_and_a_process_without_steps_is_kept(instance):
     with dg.execute_job(dg.reconstructable(recorded), instance=instance) as result:
         run = instance.get_run_by_id(result.run_id)
     assert process_of(instance, run.run_id) == RunProcess(os.getpid(), start_mark(os.getpid()))
@@ -111,7 +111,7 @@ def test_a_run_records_its_process_and_a_process_without_steps_is_left_alone(ins
 
 
 def started_run(instance, metadata):
-    """A run that says so of its process."""
+    """Create a started run whose event has ``metadata`` about its process."""
     run = instance.create_run_for_job(recorded(), status=dg.DagsterRunStatus.STARTED)
     instance.report_engine_event("Started process for run", run, dg._core.events.EngineEventData(metadata))
     return run.run_id
@@ -126,7 +126,7 @@ def test_a_reused_pid_is_another_process(instance):
 
 
 @pytest.mark.parametrize("step_s", [-1e6, 10.0, 1e6])
-def test_a_stepped_clock_ends_no_run(instance, monkeypatch, step_s):
+def test_a_clock_change_fails_no_run(instance, monkeypatch, step_s):
     started_run(instance, {"pid": str(os.getpid())})
     started_run(instance, {"pid": str(os.getpid()), "start": start_mark(os.getpid())})
     instance.create_run_for_job(recorded(), status=dg.DagsterRunStatus.STARTING)
@@ -151,7 +151,7 @@ def can_mount():
 
 
 @pytest.mark.skipif(not can_mount(), reason="needs a mount namespace, hence root")
-def test_another_uptime_in_a_container_ends_no_run(tmp_path, instance):
+def test_another_uptime_in_a_container_fails_no_run(tmp_path, instance):
     fake = tmp_path / "uptime"
     fake.write_text("100.00 100.00\n")
     (tmp_path / "dagster.yaml").touch()
@@ -159,7 +159,7 @@ def test_another_uptime_in_a_container_ends_no_run(tmp_path, instance):
     started_run(instance, {"pid": str(os.getpid()), "start": start_mark(os.getpid())})
     gone = started_run(instance, {"pid": str(2**22 + 1), "start": "boot:1"})
     script = UPTIME.format(fake=fake, python=sys.executable, home=tmp_path)
-    said = subprocess.run(
+    stdout = subprocess.run(
         ["unshare", "-m", "sh", "-c", script], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout
-    assert said == f"{[gone]}\n"
+    assert stdout == f"{[gone]}\n"

@@ -1,4 +1,4 @@
-"""Nobody sits beside it: one training image is changed, and daemon, sensor and automation do the rest."""
+"""Unattended operation: after one changed image, daemon, sensor and automation retrain and plan again."""
 
 import os
 import pathlib
@@ -16,7 +16,7 @@ from pipelines.automation.sensors import INTERVAL_VARIABLE
 from pipelines.home import DATASETS, prepare_home
 from pipelines.jobs import UNATTENDED_VARIABLE
 from pipelines.storage.io_manager import FolderPointers
-from pipelines.tracking.mlflow_records import CHAMPION
+from pipelines.tracking.model_versions import CHAMPION
 from pipelines.tracking.tracker import MlflowTracker
 from tests.ensembles import freeze_constant
 
@@ -26,14 +26,14 @@ SCENES = dg.AssetKey("logged_scenes")
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    """A home with an ensemble in use, chosen scenes, and labeled images of which one is defective."""
+    """A home with an ensemble in use, selected scenes, and labeled images with one defective mask."""
     from deltasafe.trials.selection import select_scenes
 
     for name in ("DELTASAFE_HOME", "DAGSTER_HOME"):
         monkeypatch.setenv(name, str(tmp_path))
     root = prepare_home()
     tracker = MlflowTracker(root)
-    earlier = freeze_constant(root, 1.0)  # takes nearly everything for hand: easily surpassed
+    earlier = freeze_constant(root, 1.0)  # predicts hand nearly everywhere: any trained ensemble is better
     tracker.register("e" * 64, earlier)
     tracker.call("promote", artifact=earlier.name, because="the first")
     hands = pathlib.Path(shutil.copytree(DATASETS / "hands" / "train", root / "incoming" / "hands"))
@@ -59,16 +59,16 @@ def daemon(home, tmp_path):
 
 
 def refusal(instance):
-    """What the sensor said about images that it does not train on."""
+    """Return the skip reason of the sensor for defective images; None if there is none yet."""
     for state in instance.all_instigator_state(instigator_type=InstigatorType.SENSOR):
         for tick in instance.get_ticks(state.instigator_origin_id, state.selector_id):
-            if "not trained on" in (tick.skip_reason or ""):
+            if "not used for training" in (tick.skip_reason or ""):
                 return tick.skip_reason
     return None
 
 
 def wait_for(found, daemon, instance):
-    """As long as it takes, unless the daemon has died or a run has failed."""
+    """Poll ``found`` without a time limit; fail if the daemon has ended or a run has failed."""
     process, log = daemon
     while True:
         value = found()
@@ -81,10 +81,10 @@ def wait_for(found, daemon, instance):
         time.sleep(0.5)
 
 
-@pytest.mark.filterwarnings("ignore")  # of MLflow's own making
+@pytest.mark.filterwarnings("ignore")  # warnings of MLflow
 def test_a_changed_image_becomes_a_new_challenger_and_what_follows_is_made_again(home, daemon):
     root, instance, mask, good = home
-    assert wait_for(lambda: refusal(instance), daemon, instance).startswith("not trained on")
+    assert wait_for(lambda: refusal(instance), daemon, instance).startswith("not used for training")
     assert instance.get_runs() == []
 
     mask.write_bytes(good)

@@ -1,6 +1,6 @@
-"""A machine of the team as tests start it: a process with a home of its own.
+"""A machine of a team in tests: a process with its own home.
 
-python -m tests.services.machine JOB [ASSET ...]   a run of a job, or of some of its assets, in this process
+python -m tests.services.machine JOB [ASSET ...]   run a job, or some of its assets, in this process
 """
 
 import json
@@ -12,15 +12,15 @@ from pipelines.build import build_defs
 from pipelines.home import prepare_home
 
 
-def make(root, job, *assets):
-    """One run; its id and the kind of storage that it was recorded in."""
+def run_job(root, job, *assets):
+    """Run a job; return the run id, the class of the run storage, and the number of runs in it."""
     definition = build_defs(root).resolve_job_def(job)
-    chosen = [dg.AssetKey(name) for name in assets] or None
+    selection = [dg.AssetKey(name) for name in assets] or None
     with dg.DagsterInstance.get() as instance:
-        result = definition.execute_in_process(instance=instance, asset_selection=chosen)
+        result = definition.execute_in_process(instance=instance, asset_selection=selection)
         storage = type(instance.run_storage).__name__
         return {"run_id": result.run_id, "storage": storage, "runs": instance.get_runs_count()}
 
 
 if __name__ == "__main__":
-    print(json.dumps(make(prepare_home(), *sys.argv[1:])))
+    print(json.dumps(run_job(prepare_home(), *sys.argv[1:])))

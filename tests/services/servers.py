@@ -1,4 +1,4 @@
-"""A PostgreSQL server and an object store that answers as S3 does, on loopback, in folders that go at the end."""
+"""A PostgreSQL server and an S3-compatible object store on loopback, in temporary folders."""
 
 import contextlib
 import os
@@ -17,20 +17,20 @@ KEY, SECRET = "team-key", "secret-not-to-be-found"
 
 
 def postgres_programs():
-    """Folder of initdb and pg_ctl; None if PostgreSQL is not installed."""
+    """Return the folder of initdb and pg_ctl; None if PostgreSQL is not installed."""
     found = shutil.which("initdb")
-    places = [pathlib.Path(found).parent] if found else sorted(pathlib.Path("/usr/lib/postgresql").glob("*/bin"))
-    return next((place for place in reversed(places) if (place / "initdb").is_file()), None)
+    folders = [pathlib.Path(found).parent] if found else sorted(pathlib.Path("/usr/lib/postgresql").glob("*/bin"))
+    return next((folder for folder in reversed(folders) if (folder / "initdb").is_file()), None)
 
 
 class Postgres:
-    """A cluster of its own; databases are made by name."""
+    """A temporary PostgreSQL cluster."""
 
     def __init__(self, port):
         self.port = port
 
     def database(self, name):
-        """A new, empty one; its address."""
+        """Create an empty database; return its address."""
         import psycopg2
 
         address = f"postgresql://{USER}:{PASSWORD}@127.0.0.1:{self.port}/"
@@ -42,11 +42,11 @@ class Postgres:
 
 @contextlib.contextmanager
 def postgres():
-    """Run until the block is left."""
+    """Run the server inside a `with` block."""
     programs, (port,) = postgres_programs(), free_ports(1)
     folder = pathlib.Path(tempfile.mkdtemp(prefix="deltasafe-postgres-"))
     (folder / "password").write_text(PASSWORD)
-    # it refuses to be run by root
+    # initdb and pg_ctl refuse to run as root
     root = os.geteuid() == 0
     who = ["runuser", "-u", "postgres", "--"] if root else []
     if root:
@@ -73,7 +73,7 @@ def postgres():
 
 
 class ObjectStore:
-    """SeaweedFS in one process; may be stopped and started again on the same data."""
+    """SeaweedFS in one process. It can be stopped and started again with the same data."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -88,7 +88,7 @@ class ObjectStore:
         self.process = None
 
     def start(self):
-        """Until it answers; nothing of it listens elsewhere, and it reports to nobody."""
+        """Start it on loopback without telemetry, and wait until it answers."""
         s3, s3_grpc, master, master_grpc, volume, volume_grpc, filer, filer_grpc = self.ports
         options = {
             "dir": self.folder / "data",
@@ -114,21 +114,21 @@ class ObjectStore:
         weed = pathlib.Path(sys.executable).with_name("weed")
         command = [str(weed), "-logtostderr=true", "server", *(f"-{name}={value}" for name, value in options.items())]
         with (self.folder / "log").open("a") as log:
-            environment = {**os.environ, **self.environment}  # whose keys are the administrator's
+            environment = {**os.environ, **self.environment}  # with the keys of the administrator
             self.process = subprocess.Popen(command, cwd=self.folder, env=environment, stdout=log, stderr=log)
         while not answers(f"{self.endpoint}/healthz"):
             assert self.process.poll() is None, (self.folder / "log").read_text()[-4000:]
             time.sleep(0.1)
 
     def stop(self):
-        """At once."""
+        """Kill it."""
         self.process.kill()
         self.process.wait()
 
 
 @contextlib.contextmanager
 def object_store():
-    """Run until the block is left."""
+    """Run the server inside a `with` block."""
     with tempfile.TemporaryDirectory(prefix="deltasafe-s3-", ignore_cleanup_errors=True) as name:
         store = ObjectStore(pathlib.Path(name))
         store.start()

@@ -18,8 +18,8 @@ import yaml
 
 from deltasafe.compute.processes import stop_session
 from pipelines.home import DATABASE_VARIABLE
-from pipelines.run_owner import MACHINE_TAG
 from pipelines.storage.shared_store import STORE_VARIABLE, SharedStore
+from pipelines.supervision import MACHINE_TAG
 from pipelines.tracking.mlflow_server import ARTIFACTS_VARIABLE, BACKEND_VARIABLE
 from tests.loopback import answers, free_ports
 from tests.services.servers import PASSWORD, SECRET
@@ -42,7 +42,7 @@ RUN = "query ($id: ID!) { runOrError(runId: $id) { __typename ... on Run { statu
 
 @pytest.fixture
 def services(database, s3, tmp_path):
-    """All four, with the environment and the commands of the compose file; their ports by name."""
+    """Start the four services with the environment and commands of the compose file; yield their ports by name."""
     home = tmp_path / "home"
     (home / "dagster").mkdir(parents=True)
     shutil.copy(ROOT / "deploy" / "dagster.yaml", home / "dagster" / "dagster.yaml")
@@ -63,7 +63,7 @@ def services(database, s3, tmp_path):
         BACKEND_VARIABLE: database.database("deployment-mlflow"),
         ARTIFACTS_VARIABLE: "s3://team/deployment/mlflow",
     }
-    here = {
+    replacements = {
         "0.0.0.0": "127.0.0.1",
         "4000": str(code),
         "3000": str(webserver),
@@ -74,7 +74,10 @@ def services(database, s3, tmp_path):
     try:
         for name in ("code", "mlflow", "webserver", "daemon"):
             program, *arguments = COMPOSE[name]["command"]
-            command = [str(pathlib.Path(sys.executable).with_name(program)), *(here.get(a, a) for a in arguments)]
+            command = [
+                str(pathlib.Path(sys.executable).with_name(program)),
+                *(replacements.get(a, a) for a in arguments),
+            ]
             assert PASSWORD not in " ".join(command)
             with (tmp_path / f"{name}.log").open("w") as log:
                 processes[name] = subprocess.Popen(
@@ -82,16 +85,16 @@ def services(database, s3, tmp_path):
                 )
             if name == "code":
                 while not listens(code):
-                    alive(processes, tmp_path)
+                    check_alive(processes, tmp_path)
         while not (answers(f"http://127.0.0.1:{webserver}/server_info") and listens(mlflow)):
-            alive(processes, tmp_path)
-        yield {"webserver": webserver, "mlflow": mlflow, "alive": lambda: alive(processes, tmp_path)}
+            check_alive(processes, tmp_path)
+        yield {"webserver": webserver, "mlflow": mlflow, "check_alive": lambda: check_alive(processes, tmp_path)}
     finally:
         for process in reversed(processes.values()):
             stop_session(process)
 
 
-def alive(processes, folder):
+def check_alive(processes, folder):
     time.sleep(0.5)
     for name, process in processes.items():
         assert process.poll() is None, f"{name}: " + (folder / f"{name}.log").read_text()[-4000:]
@@ -103,7 +106,7 @@ def listens(port):
     return False
 
 
-def ask(port, query, **variables):
+def graphql(port, query, **variables):
     body = json.dumps({"query": query, "variables": variables}).encode()
     headers = {"Content-Type": "application/json"}
     request = urllib.request.Request(f"http://127.0.0.1:{port}/graphql", body, headers)
@@ -120,7 +123,7 @@ def status_for(port, host):
         return error.code
 
 
-def test_an_asset_asked_for_in_the_webserver_is_made_in_the_code_location(services, s3, tmp_path, monkeypatch):
+def test_an_asset_launched_in_the_webserver_is_made_in_the_code_location(services, s3, tmp_path, monkeypatch):
     selector = {
         "repositoryLocationName": "deltasafe",
         "repositoryName": "__repository__",
@@ -128,12 +131,12 @@ def test_an_asset_asked_for_in_the_webserver_is_made_in_the_code_location(servic
         "assetSelection": [{"path": ["test_hands"]}],
         "assetCheckSelection": [],
     }
-    launched = ask(services["webserver"], LAUNCH, params={"selector": selector, "mode": "default"})["launchRun"]
+    launched = graphql(services["webserver"], LAUNCH, params={"selector": selector, "mode": "default"})["launchRun"]
     assert launched["__typename"] == "LaunchRunSuccess", launched
     run_id, status, tags = launched["run"]["runId"], "", []
     while status not in ("SUCCESS", "FAILURE", "CANCELED"):
-        services["alive"]()
-        run = ask(services["webserver"], RUN, id=run_id)["runOrError"]
+        services["check_alive"]()
+        run = graphql(services["webserver"], RUN, id=run_id)["runOrError"]
         status, tags = run["status"], run["tags"]
     assert status == "SUCCESS", (tmp_path / "code.log").read_text()[-4000:]
     assert {"key": MACHINE_TAG, "value": platform.node()} in tags

@@ -1,4 +1,4 @@
-"""The shared store: whole or not at all, verified, nothing sent twice; on file systems that need no server."""
+"""The shared store on file systems without a server: atomic, verified, and nothing uploaded twice."""
 
 import pickle
 import threading
@@ -11,9 +11,15 @@ from pipelines.home import DATASETS
 from pipelines.resources import StoreResource
 from pipelines.storage import shared_store
 from pipelines.storage.io_manager import FolderPointers
-from pipelines.storage.shared_store import STORE_VARIABLE, ObjectError, SharedStore, StoreAwayError, chosen_store
+from pipelines.storage.shared_store import (
+    STORE_VARIABLE,
+    ObjectError,
+    SharedStore,
+    StoreAwayError,
+    store_from_environment,
+)
 
-pytest.importorskip("tenacity", reason="make services-test installs it")
+pytest.importorskip("tenacity", reason="run `make services-test`, which installs it")
 
 KEY = dg.AssetKey("made")
 
@@ -23,11 +29,11 @@ def store(request, tmp_path, monkeypatch):
     address = f"memory://{tmp_path.name}-{id(tmp_path)}" if request.param == "memory" else f"file://{tmp_path / 'team'}"
     monkeypatch.setenv(STORE_VARIABLE, address)
     monkeypatch.setattr(shared_store, "_FIRST_WAIT_S", 0.001)
-    return chosen_store()
+    return store_from_environment()
 
 
 def folder_of(home, version, files=3):
-    """Every file of a version says which it is."""
+    """Write a folder whose files contain its version."""
     folder = home / "store" / "made" / version
     (folder / "part" / "empty").mkdir(parents=True)
     for number in range(files):
@@ -58,7 +64,7 @@ def damage(store, data):
     return blob
 
 
-def test_another_home_reads_what_one_home_made_file_by_file(store, tmp_path):
+def test_another_home_reads_all_files_of_the_latest_version(store, tmp_path):
     one, other = tmp_path / "one", tmp_path / "other"
     made = folder_of(one, "first")
     pointers(one).point(KEY, made)
@@ -70,21 +76,21 @@ def test_another_home_reads_what_one_home_made_file_by_file(store, tmp_path):
     assert version_in(pointers(other).folder(KEY)) == "second"
 
 
-def test_what_is_here_already_is_not_fetched_and_nothing_is_sent_twice(store, tmp_path, monkeypatch):
+def test_existing_folders_are_neither_downloaded_nor_uploaded_again(store, tmp_path, monkeypatch):
     one, other = tmp_path / "one", tmp_path / "other"
     pointers(one).point(KEY, folder_of(one, "first"))
     pointers(other).folder(KEY)
-    moved = []
-    send, receive = SharedStore._put, SharedStore._receive
-    monkeypatch.setattr(SharedStore, "_put", lambda *a: (moved.append(a), send(*a)))
-    monkeypatch.setattr(SharedStore, "_receive", lambda *a: (moved.append(a), receive(*a)))
+    transfers = []
+    upload, download = SharedStore._put, SharedStore._download
+    monkeypatch.setattr(SharedStore, "_put", lambda *a: (transfers.append(a), upload(*a)))
+    monkeypatch.setattr(SharedStore, "_download", lambda *a: (transfers.append(a), download(*a)))
     assert version_in(pointers(one).folder(KEY)) == "first"
     assert version_in(pointers(other).folder(KEY)) == "first"
     pointers(other).point(KEY, other / "store" / "made" / "first")
-    assert moved == []
+    assert transfers == []
 
 
-def test_a_folder_that_was_changed_or_cleaned_away_here_is_fetched_again(store, tmp_path):
+def test_a_changed_or_removed_folder_is_downloaded_again(store, tmp_path):
     made = folder_of(tmp_path, "first")
     pointers(tmp_path).point(KEY, made)
     (made / "part" / "1.txt").write_text("torn")
@@ -94,7 +100,7 @@ def test_a_folder_that_was_changed_or_cleaned_away_here_is_fetched_again(store, 
 
 
 @pytest.mark.parametrize("data", [b"", b"first 9", b"another length altogether"])
-def test_a_damaged_object_is_named_and_nothing_is_left_of_it(store, tmp_path, data):
+def test_a_damaged_object_is_named_and_leaves_no_file(store, tmp_path, data):
     pointers(tmp_path / "one").point(KEY, folder_of(tmp_path / "one", "first"))
     blob = damage(store, data)
     with pytest.raises(ObjectError, match=r"is damaged; remove it, and restore it from a backup") as caught:
@@ -123,7 +129,7 @@ def test_a_missing_object_and_a_damaged_manifest_are_named(store, tmp_path):
         pointers(tmp_path).folder(dg.AssetKey("never"))
 
 
-def test_names_that_lead_out_of_the_folder_are_refused(store, tmp_path):
+def test_names_outside_the_folder_are_refused(store, tmp_path):
     for name in ("../outside", "/outside"):
         digest = shared_store.digest_of_manifest({"files": {}, "folders": [name]})
         store.write_json(f"manifests/{digest}.json", {"files": {}, "folders": [name]})
@@ -131,11 +137,11 @@ def test_names_that_lead_out_of_the_folder_are_refused(store, tmp_path):
             store.fetch(digest, tmp_path / "home" / "x")
     for elsewhere in ("../elsewhere", "incoming/hands", "store/../champion.json"):
         store.write_json("pointers/current/made.json", {"folder": elsewhere, "manifest": digest})
-        with pytest.raises(ObjectError, match="where nothing is ever put; materialize made again"):
+        with pytest.raises(ObjectError, match="where nothing is ever stored; materialize made again"):
             pointers(tmp_path / "home").folder(KEY)
 
 
-def test_a_watched_folder_is_copied_and_never_written_to(store, tmp_path):
+def test_a_watched_folder_is_copied_and_not_changed(store, tmp_path):
     watched = tmp_path / "incoming" / "hands"
     watched.mkdir(parents=True)
     (watched / "1.png").write_bytes(b"1")
@@ -148,10 +154,10 @@ def test_a_watched_folder_is_copied_and_never_written_to(store, tmp_path):
 
 
 class Killed(BaseException):
-    """As a killed process: no handler of errors sees it."""
+    """Stands for SIGKILL: `except Exception` does not catch it."""
 
 
-def test_killed_at_any_operation_the_old_version_stays_and_the_next_try_succeeds(store, tmp_path, monkeypatch):
+def test_after_a_kill_at_any_operation_the_old_version_is_read_and_a_retry_succeeds(store, tmp_path, monkeypatch):
     home, reader = tmp_path / "one", tmp_path / "reader"
     pointers(home).point(KEY, folder_of(home, "first"), run_id="a")
     made, done, survived = folder_of(home, "second"), [0], False
@@ -186,10 +192,10 @@ def test_killed_at_any_operation_the_old_version_stays_and_the_next_try_succeeds
             break
         assert current == "first"
     assert survived
-    assert limit >= 4, "manifest, name and two pointers at least"
+    assert limit >= 4, "at least manifest, name and two pointers"
 
 
-def test_what_fails_by_chance_is_tried_again_and_what_fails_for_good_is_said(store, tmp_path, monkeypatch):
+def test_transient_failures_are_retried_and_permanent_ones_reported(store, tmp_path, monkeypatch):
     failures, calls = [OSError("reset"), TimeoutError(), ConnectionError()], []
     write = type(store._files).cat_file
 
@@ -206,11 +212,11 @@ def test_what_fails_by_chance_is_tried_again_and_what_fails_for_good_is_said(sto
 
     def never(self, path, *arguments, **options):
         calls.append(path)
-        raise ConnectionError("nobody there")
+        raise ConnectionError("no answer")
 
     calls.clear()
     monkeypatch.setattr(type(store._files), "cat_file", never)
-    with pytest.raises(StoreAwayError, match=r"x\.json cannot be reached \(ConnectionError: nobody there\)"):
+    with pytest.raises(StoreAwayError, match=r"x\.json cannot be reached \(ConnectionError: no answer\)"):
         store.read_json("x.json")
     assert len(calls) == 6
 
@@ -220,12 +226,12 @@ def test_what_fails_by_chance_is_tried_again_and_what_fails_for_good_is_said(sto
 
     calls.clear()
     monkeypatch.setattr(type(store._files), "cat_file", refused)
-    with pytest.raises(StoreAwayError, match="may these keys use it"):
+    with pytest.raises(StoreAwayError, match="accepts the keys"):
         store.read_json("x.json")
     assert len(calls) == 1
 
 
-def test_packaged_inputs_are_told_by_name_and_digest_others_are_copied(store, tmp_path, monkeypatch):
+def test_packaged_inputs_are_referenced_and_other_folders_copied(store, tmp_path, monkeypatch):
     one, other, mine = tmp_path / "one", tmp_path / "other", tmp_path / "mine"
     pointers(one).point(KEY, DATASETS / "hands" / "test")
     assert not [name for name in objects(store) if "/blobs/" in name]
@@ -252,7 +258,7 @@ def test_another_version_of_the_packaged_inputs_is_refused(store, tmp_path):
         pointers(tmp_path).folder(KEY)
 
 
-def test_a_member_that_another_machine_has_trained_is_found(store, tmp_path):
+def test_a_member_of_another_machine_is_restored(store, tmp_path):
     one, other = tmp_path / "one", tmp_path / "other"
 
     def found(home):
@@ -263,12 +269,12 @@ def test_a_member_that_another_machine_has_trained_is_found(store, tmp_path):
     pointers(one).point(KEY, folder_of(one, "first"))
     assert version_in(found(other)) == "first"
     damage(store, b"")
-    assert not found(tmp_path / "third").exists(), "what cannot be fetched is made once more"
+    assert not found(tmp_path / "third").exists(), "a folder that cannot be downloaded is made again"
 
 
-def test_a_store_that_cannot_be_used_says_so(monkeypatch):
+def test_an_unsupported_address_is_refused(monkeypatch):
     monkeypatch.setenv(STORE_VARIABLE, "nonsense://x")
     with pytest.raises(SettingsError, match=r"DELTASAFE_STORE=nonsense://x cannot be used .* make team"):
-        chosen_store()
+        store_from_environment()
     monkeypatch.delenv(STORE_VARIABLE)
-    assert chosen_store() is None
+    assert store_from_environment() is None

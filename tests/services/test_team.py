@@ -1,4 +1,4 @@
-"""Machines of a team: homes of their own, one PostgreSQL, one object store, one MLflow; all of them real servers."""
+"""Machines of a team with separate homes share real servers: PostgreSQL, object store, MLflow."""
 
 import json
 import os
@@ -15,7 +15,13 @@ from deltasafe.compute.processes import stop_session
 from pipelines.home import DATABASE_VARIABLE, TRACKING_VARIABLE, prepare_home
 from pipelines.storage import shared_store
 from pipelines.storage.io_manager import FolderPointers
-from pipelines.storage.shared_store import STORE_VARIABLE, ObjectError, StoreAwayError, chosen_store, manifest_of_folder
+from pipelines.storage.shared_store import (
+    STORE_VARIABLE,
+    ObjectError,
+    StoreAwayError,
+    manifest_of_folder,
+    store_from_environment,
+)
 from pipelines.tracking.mlflow_server import ARTIFACTS_VARIABLE, BACKEND_VARIABLE, mlflow_command
 from pipelines.tracking.registry import EnsembleRegistry
 from pipelines.tracking.tracker import MlflowTracker
@@ -29,7 +35,7 @@ CHAMPION, MOTIONS = dg.AssetKey("champion"), dg.AssetKey("planned_motions")
 
 @pytest.fixture
 def team(database, s3, monkeypatch, request):
-    """The environment that all machines of a team share; this process is one of them."""
+    """Set the environment that all machines of a team share; this process is one of them."""
     name = request.node.name[:40].replace("_", "-").strip("-")
     shared = {
         DATABASE_VARIABLE: database.database(name),
@@ -40,14 +46,14 @@ def team(database, s3, monkeypatch, request):
     for variable, value in shared.items():
         monkeypatch.setenv(variable, value)
     for variable in ("DELTASAFE_HOME", "DAGSTER_HOME", TRACKING_VARIABLE, BACKEND_VARIABLE, ARTIFACTS_VARIABLE):
-        monkeypatch.setenv(variable, "")  # noted here, so that it is put back
+        monkeypatch.setenv(variable, "")  # so that monkeypatch restores it
         monkeypatch.delenv(variable)
     monkeypatch.setattr(shared_store, "_FIRST_WAIT_S", 0.1)
     shared_store._opened.cache_clear()
 
 
 def machine(home, *made):
-    """A run of a job, or of some of its assets, on a machine with that home."""
+    """Run a job, or some of its assets, on a machine with that home."""
     environment = {**os.environ, "DELTASAFE_HOME": str(home)}
     run = [sys.executable, "-m", "tests.services.machine", *made]
     finished = subprocess.run(run, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
@@ -59,7 +65,7 @@ def pointers(home):
     return FolderPointers(home=str(home))
 
 
-def test_what_one_machine_began_another_continues_with_the_same_results(team, tmp_path):
+def test_another_machine_continues_a_run_with_the_same_results(team, tmp_path):
     one, other, away = tmp_path / "one", tmp_path / "other", tmp_path / "away"
     pointers(one).point(CHAMPION, freeze_constant(one, -2.0))
     began = machine(one, "planning", "logged_scenes", "occupancy_fields")
@@ -82,7 +88,7 @@ def test_what_one_machine_began_another_continues_with_the_same_results(team, tm
             data = path.read_bytes()
             assert not any(secret.encode() in data for secret in (PASSWORD, SECRET)), path
     for path in (other / "store").rglob("*.json"):
-        assert str(tmp_path).encode() not in path.read_bytes(), f"{path} means something on one machine only"
+        assert str(tmp_path).encode() not in path.read_bytes(), f"{path} contains a path of one machine"
 
 
 def written(home, version):
@@ -100,7 +106,7 @@ def version_in(folder):
     return version
 
 
-def test_two_write_at_once_and_a_reader_sees_whole_versions_only(team, tmp_path):
+def test_parallel_writers_and_a_reader_that_sees_complete_versions_only(team, tmp_path):
     key, seen, errors = dg.AssetKey("made"), [], []
     pointers(tmp_path / "a").point(key, written(tmp_path / "a", "a0"))
 
@@ -126,7 +132,7 @@ def test_two_write_at_once_and_a_reader_sees_whole_versions_only(team, tmp_path)
 def test_a_damaged_object_is_named(team, tmp_path):
     key = dg.AssetKey("made")
     pointers(tmp_path / "a").point(key, written(tmp_path / "a", "a0"))
-    store = chosen_store()
+    store = store_from_environment()
     blob = store._files.find(f"{store._root}/blobs")[0]
     store._files.pipe_file(blob, b"a0 9")
     with pytest.raises(ObjectError, match=f"{blob.rpartition('/')[2]}: is damaged"):
@@ -134,7 +140,7 @@ def test_a_damaged_object_is_named(team, tmp_path):
     assert not (tmp_path / "b" / "store" / "made" / "a0").exists()
 
 
-def test_a_store_that_comes_back_is_waited_for_and_one_that_does_not_is_said(team, s3, tmp_path, monkeypatch):
+def test_a_short_outage_of_the_store_is_retried_and_a_long_one_reported(team, s3, tmp_path, monkeypatch):
     key = dg.AssetKey("made")
     pointers(tmp_path / "a").point(key, written(tmp_path / "a", "a0"))
     monkeypatch.setattr(shared_store, "_FIRST_WAIT_S", 1.0)
@@ -147,17 +153,17 @@ def test_a_store_that_comes_back_is_waited_for_and_one_that_does_not_is_said(tea
     monkeypatch.setattr(shared_store, "_FIRST_WAIT_S", 0.01)
     s3.stop()
     try:
-        with pytest.raises(StoreAwayError, match=r"s3://team/.* cannot be reached .* is the store there"):
+        with pytest.raises(StoreAwayError, match=r"s3://team/.* cannot be reached .* check that the store runs"):
             pointers(tmp_path / "a").point(key, written(tmp_path / "a", "a2"))
     finally:
         s3.start()
-    monkeypatch.setattr(shared_store, "_FIRST_WAIT_S", 1.0)  # it answers before it can read
+    monkeypatch.setattr(shared_store, "_FIRST_WAIT_S", 1.0)  # after a restart, it answers before it can read
     assert version_in(pointers(tmp_path / "c").folder(key)) == "a1"
 
 
 @pytest.fixture
 def mlflow(team, database, tmp_path, monkeypatch):
-    """As `make ui` starts it, with PostgreSQL behind it and the store for what is large."""
+    """MLflow as `make ui` starts it, with PostgreSQL and the store for artifacts."""
     (port,) = free_ports(1)
     monkeypatch.setenv(BACKEND_VARIABLE, database.database(f"mlflow-{port}"))
     monkeypatch.setenv("MLFLOW_SERVER_ENABLE_JOB_EXECUTION", "false")
@@ -174,8 +180,8 @@ def mlflow(team, database, tmp_path, monkeypatch):
         stop_session(process)
 
 
-@pytest.mark.filterwarnings("ignore")  # of MLflow's own making
-def test_mlflow_hands_the_champion_to_a_machine_that_never_saw_it(mlflow, tmp_path):
+@pytest.mark.filterwarnings("ignore")  # warnings of MLflow
+def test_another_machine_downloads_the_champion_from_mlflow(mlflow, tmp_path):
     one, other = tmp_path / "one", tmp_path / "other"
     frozen = freeze_constant(one, -2.0)
     registry = EnsembleRegistry(MlflowTracker(one))
@@ -185,14 +191,14 @@ def test_mlflow_hands_the_champion_to_a_machine_that_never_saw_it(mlflow, tmp_pa
     fetched = EnsembleRegistry(MlflowTracker(other)).champion()
     assert fetched == other / "frozen" / frozen.name
     assert manifest_of_folder(fetched) == manifest_of_folder(frozen)
-    store = chosen_store()
+    store = store_from_environment()
     assert any(frozen.name in name for name in store._files.find(f"{store._root}/mlflow")), "artifacts are in the store"
 
 
-def test_a_dagster_yaml_that_was_edited_is_left_alone(team, tmp_path, monkeypatch):
+def test_dagster_yaml_follows_the_database_variable(team, tmp_path, monkeypatch):
     monkeypatch.setenv("DELTASAFE_HOME", str(tmp_path))
     settings = prepare_home() / "dagster" / "dagster.yaml"
     assert DATABASE_VARIABLE in settings.read_text()
     monkeypatch.delenv(DATABASE_VARIABLE)
     prepare_home()
-    assert DATABASE_VARIABLE not in settings.read_text(), "what was written here is brought up to date"
+    assert DATABASE_VARIABLE not in settings.read_text(), "the default file is updated"

@@ -1,4 +1,4 @@
-"""`make ui` is for this machine alone: every socket that it listens at has a loopback address."""
+"""`make ui` listens on loopback addresses only."""
 
 import ipaddress
 import os
@@ -12,11 +12,11 @@ import pytest
 
 from tests.loopback import serve
 
-LISTENS = "0A"
+LISTEN = "0A"
 
 
 def listening(marker):
-    """Addresses and ports (TCP) that processes with the text ``marker`` in their environment listen at."""
+    """Return the TCP addresses and ports on which processes with ``marker`` in their environment listen."""
     sockets = set()
     for process in pathlib.Path("/proc").glob("[0-9]*"):
         try:
@@ -29,21 +29,21 @@ def listening(marker):
     for table in ("tcp", "tcp6"):
         for line in (pathlib.Path("/proc/net") / table).read_text().splitlines()[1:]:
             _, local, _, state, *_, inode = line.split()[:10]
-            if state == LISTENS and f"socket:[{inode}]" in sockets:
+            if state == LISTEN and f"socket:[{inode}]" in sockets:
                 address, port = local.split(":")
                 found.add((parsed(address), int(port, 16)))
     return found
 
 
 def parsed(address):
-    """Of /proc/net: words of four bytes in the order of the machine."""
+    """Parse an address of /proc/net: words of four bytes in native byte order."""
     words = [bytes.fromhex(address[at : at + 8]) for at in range(0, len(address), 8)]
     return ipaddress.ip_address(b"".join(word[::-1] if sys.byteorder == "little" else word for word in words))
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="sockets are looked up in /proc")
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0", "::"])
-def test_what_listens_is_seen_with_its_address(address):
+def test_listening_sockets_are_found_with_their_address(address):
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     program = (
         f"import socket; s = socket.create_server(({address!r}, 0), family={int(family)})\n"
@@ -60,8 +60,8 @@ def test_what_listens_is_seen_with_its_address(address):
         process.communicate("\n")
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="sockets are looked up in /proc")
-def test_it_listens_on_loopback_alone(tmp_path):
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+def test_all_servers_listen_on_loopback(tmp_path):
     with serve(tmp_path, "smoke", tmp_path / "log") as addresses:
         found = listening(f"DELTASAFE_HOME={tmp_path}".encode())
     assert {port for _, port in found} >= {urllib.parse.urlsplit(address).port for address in addresses}

@@ -1,4 +1,4 @@
-"""Pointers to folders: the old version or the new one, never half of one."""
+"""The I/O manager: pointers to folders, partitions, runs, and names of folders."""
 
 import dagster as dg
 import pytest
@@ -29,7 +29,7 @@ def maker(home, version):
     return made
 
 
-def test_a_consumer_reads_the_folder_that_was_last_made(home):
+def test_a_consumer_reads_the_latest_folder(home):
     read = []
 
     @dg.asset
@@ -48,7 +48,7 @@ def test_a_home_can_be_moved(home, tmp_path):
     assert FolderPointers(home=str(moved)).folder(dg.AssetKey("made")) == moved / "store" / "one"
 
 
-def test_partitions_are_read_as_a_dictionary_however_they_were_made(home):
+def test_partitions_of_one_or_several_runs_are_read_as_a_dictionary(home):
     @dg.asset(partitions_def=PARTS, backfill_policy=dg.BackfillPolicy.single_run())
     def parts(context: dg.AssetExecutionContext):
         folders = {key: home / "store" / key for key in context.partition_keys}
@@ -69,7 +69,7 @@ def test_partitions_are_read_as_a_dictionary_however_they_were_made(home):
     assert read == [{"a": "a", "b": "b"}]
 
 
-def test_what_was_never_made_or_was_removed_is_named(home):
+def test_a_missing_or_removed_folder_is_named_with_the_remedy(home):
     pointers = FolderPointers(home=str(home))
     with pytest.raises(DataError, match="materialize made first"):
         pointers.folder(dg.AssetKey("made"))
@@ -79,7 +79,7 @@ def test_what_was_never_made_or_was_removed_is_named(home):
         pointers.folder(dg.AssetKey("made"))
 
 
-def test_a_run_sees_its_own_folders_whatever_another_run_makes_meanwhile(home):
+def test_a_run_reads_its_own_folders_despite_parallel_runs(home):
     read = []
 
     @dg.asset
@@ -89,20 +89,20 @@ def test_a_run_sees_its_own_folders_whatever_another_run_makes_meanwhile(home):
         return folder
 
     @dg.asset(deps=[made])
-    def meanwhile():
-        materialize(home, [maker(home, "of another run")])
+    def parallel_run():
+        materialize(home, [maker(home, "theirs")])
 
-    @dg.asset(deps=[meanwhile])
+    @dg.asset(deps=[parallel_run])
     def used(made):
         read.append(made.name)
 
-    assert materialize(home, [made, meanwhile, used]).success
+    assert materialize(home, [made, parallel_run, used]).success
     assert read == ["mine"]
-    assert FolderPointers(home=str(home)).folder(dg.AssetKey("made")).name == "of another run"
+    assert FolderPointers(home=str(home)).folder(dg.AssetKey("made")).name == "theirs"
 
 
 @pytest.mark.parametrize("name", ["", "..", ".", "../../elsewhere", "a/b", "/etc", "a\0b", "a\nb"])
-def test_a_name_cannot_lead_out_of_the_store(home, name):
+def test_a_folder_name_cannot_lead_out_of_the_store(home, name):
     with pytest.raises(SettingsError, match="cannot be the name of a folder"):
         Store(home, home).folder("logged_scene", name)
     assert Store(home, home).folder("logged_scene", "scene_000-1").is_relative_to(home)

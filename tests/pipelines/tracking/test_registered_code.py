@@ -1,4 +1,4 @@
-"""The registered ensemble with MLflow's loading of pickles switched off, and without running the registry's code."""
+"""Loading the registered ensemble needs no pickle, and our own code never runs code from the registry."""
 
 import importlib.util
 import pathlib
@@ -10,7 +10,7 @@ import pytest
 from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
 from pipelines.home import tracking_uri
 from pipelines.tracking import registry
-from pipelines.tracking.mlflow_records import CHAMPION, MODEL_NAME
+from pipelines.tracking.model_versions import CHAMPION, MODEL_NAME
 from pipelines.tracking.tracker import MlflowTracker
 from tests.ensembles import freeze_constant
 
@@ -18,12 +18,12 @@ EXAMPLE = pathlib.Path(__file__).parents[3] / "examples" / "from_registry.py"
 SWITCH = "MLFLOW_ALLOW_PICKLE_DESERIALIZATION"
 IMAGES = np.random.default_rng(0).integers(0, 256, (2, 40, 50, 3), dtype=np.uint8)
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # of MLflow's own making
+pytestmark = pytest.mark.filterwarnings("ignore")  # warnings of MLflow
 
 
 @pytest.fixture(scope="module")
 def champion(tmp_path_factory):
-    """A home with a champion, and its frozen folder."""
+    """Return a home with a champion, and its frozen folder."""
     home = tmp_path_factory.mktemp("home")
     frozen, tracker = freeze_constant(home, -2.0), MlflowTracker(home)
     tracker.register("i" * 64, frozen)
@@ -33,7 +33,7 @@ def champion(tmp_path_factory):
 
 @pytest.fixture
 def mlflow(champion, monkeypatch):
-    """MLflow on that home with the switch off; what it puts on the path goes again."""
+    """MLflow on that home, without pickles; changes of `sys.path` are reverted."""
     import mlflow as module
 
     monkeypatch.setenv(SWITCH, "false")
@@ -44,8 +44,8 @@ def mlflow(champion, monkeypatch):
 
 @pytest.fixture
 def tampered(champion, tmp_path):
-    """The registry's code was replaced by somebody; the file that it leaves when it is run."""
-    trace = tmp_path / "it-was-run"
+    """Replace the code in the registry by code that creates a file when it runs; yield the path of the file."""
+    trace = tmp_path / "code-was-run"
     codes = [
         path
         for path in (champion[0] / "mlflow" / "artifacts").rglob("*.py")
@@ -60,7 +60,7 @@ def tampered(champion, tmp_path):
         path.write_text(text)
 
 
-def test_it_loads_by_alias_and_predicts(mlflow, champion):
+def test_the_model_loads_by_alias_and_predicts(mlflow, champion):
     model = mlflow.pyfunc.load_model(f"models:/{MODEL_NAME}@{CHAMPION}")
     ensemble = load_ensemble(champion[1])
     expected = np.stack([ensemble.p_occupied(image) for image in IMAGES])
@@ -77,7 +77,7 @@ def test_a_pickled_model_does_not_load(mlflow, tmp_path):
         mlflow.pyfunc.load_model(str(tmp_path / "pickled"))
 
 
-def test_an_example_that_copies_ours_runs_no_code_of_the_registry(mlflow, champion, tampered, tmp_path):
+def test_our_example_runs_no_code_from_the_registry(mlflow, champion, tampered, tmp_path):
     spec = importlib.util.spec_from_file_location("from_registry", EXAMPLE)
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
@@ -86,13 +86,13 @@ def test_an_example_that_copies_ours_runs_no_code_of_the_registry(mlflow, champi
     assert not tampered.exists()
 
 
-def test_another_machine_of_ours_runs_no_code_of_the_registry(mlflow, champion, tampered, tmp_path):
+def test_fetching_the_champion_runs_no_code_from_the_registry(mlflow, champion, tampered, tmp_path):
     version = mlflow.MlflowClient().get_model_version_by_alias(MODEL_NAME, CHAMPION)
-    assert load_ensemble(registry._folder_of(version, tmp_path)).folder.name == champion[1].name
+    assert load_ensemble(registry._frozen_folder(version, tmp_path)).folder.name == champion[1].name
     assert not tampered.exists()
 
 
-def test_whoever_loads_it_as_a_model_of_mlflow_runs_its_code(mlflow, tampered):
-    """What cannot be switched off, and is said in docs/explanation/reliability.md."""
+def test_loading_it_with_mlflow_runs_code_from_the_registry(mlflow, tampered):
+    """MLflow cannot switch this off; docs/explanation/reliability.md says so."""
     mlflow.pyfunc.load_model(f"models:/{MODEL_NAME}@{CHAMPION}")
     assert tampered.exists()

@@ -1,4 +1,4 @@
-"""Promotion is a gate: refused, promoted, rolled back, on the real registry with the real asset."""
+"""Decisions about ensembles (refuse, promote, roll back) with the real registry and the real asset."""
 
 from types import SimpleNamespace
 
@@ -11,7 +11,7 @@ from pipelines.home import tracking_uri
 from pipelines.resources import RegistryResource, StoreResource
 from pipelines.storage.io_manager import FolderPointers
 from pipelines.tracking import registry as command
-from pipelines.tracking.mlflow_records import CHALLENGER, CHAMPION, MODEL_NAME
+from pipelines.tracking.model_versions import CHALLENGER, CHAMPION, DEMOTED_TAG, MODEL_NAME
 from pipelines.tracking.tracker import MlflowTracker
 from tests.ensembles import freeze_constant, write_hands
 
@@ -28,7 +28,7 @@ def home(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def frozen(home):
-    """From bad to good: mostly background, all pixels get the same logit."""
+    """Ensembles from bad to good: the images are mostly background, and all pixels get the same logit."""
     return {name: freeze_constant(home, logit) for name, logit in (("bad", 1.0), ("good", -2.0), ("better", -3.0))}
 
 
@@ -40,14 +40,14 @@ def instance(tmp_path_factory):
 
 @pytest.fixture
 def run(home, instance, monkeypatch):
-    """The command, on this home."""
+    """Run a command of the registry on this home."""
     monkeypatch.setattr(command, "prepare_home", lambda: home)
     monkeypatch.setattr(dg.DagsterInstance, "get", staticmethod(lambda: instance))
     return lambda *arguments: command.main(list(arguments))
 
 
 def publish(home, instance, folder):
-    """What the chain does with a newly frozen ensemble; the check and the folder in use."""
+    """Register and materialize `champion` as the chain does; return the check and the folder in use."""
     MlflowTracker(home).register("i" * 64, folder)
     FolderPointers(home=str(home)).point(FROZEN, folder)
     resources = {
@@ -74,7 +74,7 @@ def versions(home):
         return {found.tags["artifact"]: found for found in records.versions()}
 
 
-@pytest.mark.filterwarnings("ignore")  # of MLflow's own making
+@pytest.mark.filterwarnings("ignore")  # warnings of MLflow
 def test_a_worse_ensemble_is_refused_another_promoted_and_taken_back_by_one_command(
     home, instance, frozen, run, capsys
 ):
@@ -87,7 +87,7 @@ def test_a_worse_ensemble_is_refused_another_promoted_and_taken_back_by_one_comm
     assert check.severity == dg.AssetCheckSeverity.WARN
     assert "worse than" in check.description
     assert "NLL" in check.description
-    assert used == frozen["good"], "what follows in this run works with the champion"
+    assert used == frozen["good"], "downstream assets of this run use the champion"
     assert aliases(home) == {CHAMPION: frozen["good"].name, CHALLENGER: frozen["bad"].name}
     assert "worse than" in versions(home)[frozen["bad"].name].tags["refused"]
 
@@ -100,17 +100,17 @@ def test_a_worse_ensemble_is_refused_another_promoted_and_taken_back_by_one_comm
     assert "saw gloves as background" in capsys.readouterr().out
     assert FolderPointers(home=str(home)).folder(dg.AssetKey("champion")) == frozen["good"]
     event = instance.get_latest_materialization_event(dg.AssetKey("champion")).asset_materialization
-    assert event.tags["dagster/data_version"] == frozen["good"].name, "what follows is told"
+    assert event.tags["dagster/data_version"] == frozen["good"].name, "downstream assets become stale"
 
     check, used = publish(home, instance, frozen["better"])
-    assert (check.passed, used) == (False, frozen["good"]), "figures do not overrule a person"
+    assert (check.passed, used) == (False, frozen["good"]), "figures do not override a person"
     assert "saw gloves" in check.description
 
     number = str(versions(home)[frozen["better"].name].version)
     assert run("promote", number, "--because", "gloves were labeled wrongly") == 0
     assert aliases(home)[CHAMPION] == frozen["better"].name
-    assert "taken_out_of_use" not in versions(home)[frozen["better"].name].tags
-    assert len(versions(home)) == 3, "the same content is the same version"
+    assert DEMOTED_TAG not in versions(home)[frozen["better"].name].tags
+    assert len(versions(home)) == 3, "the same content keeps its version"
 
 
 def test_a_version_that_does_not_exist_changes_nothing(home, frozen, run, capsys):
@@ -120,34 +120,60 @@ def test_a_version_that_does_not_exist_changes_nothing(home, frozen, run, capsys
     assert aliases(home) == before
 
 
-def test_there_is_nothing_to_roll_back_to_in_a_fresh_home(tmp_path, monkeypatch, capsys):
+def test_rollback_in_a_new_home_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(command, "prepare_home", lambda: tmp_path)
     assert command.main(["rollback"]) == 1
     assert "in use before" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore")  # warnings of MLflow
+def test_rollback_skips_deleted_versions_and_changes_nothing_if_it_fails(tmp_path, instance, monkeypatch, capsys):
+    monkeypatch.setattr(command, "prepare_home", lambda: tmp_path)
+    monkeypatch.setattr(dg.DagsterInstance, "get", staticmethod(lambda: instance))
+    first, second, third = (freeze_constant(tmp_path, logit) for logit in (1.0, -2.0, -3.0))
+    tracker = MlflowTracker(tmp_path)
+    for folder in (first, second, third):
+        tracker.register("i" * 64, folder)
+        tracker.call("promote", artifact=folder.name, because="better")
+    with tracker.records() as records:
+        records.client.delete_model_version(MODEL_NAME, records.version_of(second.name).version)
+
+    artifacts = tmp_path / "mlflow" / "artifacts"
+    first.rename(tmp_path / "hidden-folder")
+    artifacts.rename(tmp_path / "hidden-artifacts")
+    assert command.main(["rollback"]) == 1
+    assert f"{first}: is missing, and so is its copy in MLflow" in capsys.readouterr().err
+    assert aliases(tmp_path) == {CHAMPION: third.name}
+    assert DEMOTED_TAG not in versions(tmp_path)[third.name].tags
+
+    (tmp_path / "hidden-artifacts").rename(artifacts)
+    assert command.main(["rollback"]) == 0
+    assert aliases(tmp_path) == {CHAMPION: first.name}
+    assert DEMOTED_TAG in versions(tmp_path)[third.name].tags
 
 
 def test_another_machine_fetches_the_champion_from_the_registry(home, frozen, tmp_path):
     from deltasafe.perception.artifact.frozen_ensemble import verify_artifact
 
     (found,) = [version for version in versions(home).values() if CHAMPION in version.aliases]
-    for machine in (tmp_path / "one", tmp_path / "another"):  # the first takes nothing away
+    for machine in (tmp_path / "one", tmp_path / "another"):  # the first download leaves the registry intact
         with MlflowTracker(home).records():
-            fetched = command._folder_of(found, machine)
+            fetched = command._frozen_folder(found, machine)
         assert fetched == machine / "frozen" / frozen["better"].name
         verify_artifact(fetched)
         assert [path.name for path in fetched.parent.iterdir()] == [fetched.name]
 
 
 @pytest.mark.parametrize("name", ["", "../../elsewhere", "ensemble-0/../..", "/etc"])
-def test_a_registry_cannot_lead_out_of_the_home(tmp_path, name):
+def test_a_tag_cannot_lead_out_of_the_home(tmp_path, name):
     found = SimpleNamespace(name=MODEL_NAME, version="1", tags={"artifact": name})
     with pytest.raises(DataError, match="not registered by this project"):
-        command._folder_of(found, tmp_path / "home")
+        command._frozen_folder(found, tmp_path / "home")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_without_a_server_the_note_says_who_is_in_use_and_the_decision_waits(home, frozen, monkeypatch):
+def test_without_a_server_the_local_copy_decides_and_the_decision_is_queued(home, frozen, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:9")
     away = command.EnsembleRegistry(MlflowTracker(home))
     assert away.champion() == frozen["better"]

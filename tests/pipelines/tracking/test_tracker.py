@@ -1,4 +1,4 @@
-"""MLflow: one run an ensemble, one a member, however many processes write, and whether or not it is there."""
+"""Tracking: runs of ensembles and members from parallel processes, and calls while MLflow is away."""
 
 import concurrent.futures
 import contextlib
@@ -15,7 +15,7 @@ import pytest
 
 from assets.interfaces import TrainedMember
 from pipelines.home import TRACKING_VARIABLE, tracking_uri
-from pipelines.tracking.call_queue import PendingCalls
+from pipelines.tracking.call_queue import CallQueue
 from pipelines.tracking.mlflow_records import EXPERIMENT
 from pipelines.tracking.tracker import MlflowTracker, is_reachable
 from tests.loopback import free_ports
@@ -45,12 +45,12 @@ def curve(client, run, key):
     return [(m.step, m.value) for m in client.get_metric_history(run.info.run_id, key)]
 
 
-def test_processes_that_open_a_fresh_database_at_once_share_one_parent(tmp_path):
+def test_processes_that_create_the_database_in_parallel_share_one_parent_run(tmp_path):
     names = ["member_00", "member_01"]
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(2, context) as pool:
         list(pool.map(record, [tmp_path] * 2, names))
-    record(tmp_path, "member_01")  # trained again: the same run, not another one
+    record(tmp_path, "member_01")  # trained again: the same run
     client, parent, children = runs(tracking_uri(tmp_path))
     assert sorted(children) == names
     assert {run.data.tags["mlflow.parentRunId"] for run in children.values()} == {parent.info.run_id}
@@ -66,7 +66,7 @@ def test_processes_that_open_a_fresh_database_at_once_share_one_parent(tmp_path)
     assert [(tag.key, tag.value) for tag in seen.tags] == [("mlflow.data.context", "training")]
 
 
-def test_a_report_goes_to_the_run_of_its_ensemble_with_its_files_and_images(tmp_path):
+def test_a_report_is_recorded_in_the_run_of_its_ensemble(tmp_path):
     (tmp_path / "report").mkdir()
     (tmp_path / "report" / "report.md").write_text("# fine")
     (tmp_path / "loss.png").write_bytes(b"png")
@@ -89,7 +89,7 @@ def test_a_report_goes_to_the_run_of_its_ensemble_with_its_files_and_images(tmp_
 
 @pytest.fixture
 def server(tmp_path, monkeypatch):
-    """An address at which nobody answers, and how to start the server there."""
+    """Return an address without a server, and a function that starts a server there."""
     (port,) = free_ports(1)
     uri = f"http://127.0.0.1:{port}"
     monkeypatch.setenv(TRACKING_VARIABLE, uri)
@@ -119,17 +119,17 @@ def server(tmp_path, monkeypatch):
         process.wait()
 
 
-def test_what_a_server_missed_is_replayed_once_and_in_order(tmp_path, server):
+def test_calls_during_an_outage_are_replayed_once_and_in_order(tmp_path, server):
     uri, start = server
     home = tmp_path / "home"
     tracker = MlflowTracker(home, {"dagster_run_id": "first"})
     (tmp_path / "report").mkdir()
     (tmp_path / "report" / "report.md").write_text("# fine")
-    assert tracker.member(IDENTITY, trained()) is None, "there is no page yet, and no error"
+    assert tracker.member(IDENTITY, trained()) is None, "no page yet, and no error"
     assert tracker.report(IDENTITY, {"pa": 0.98}, tmp_path / "report", {}) is None
-    waiting = PendingCalls(home / "mlflow" / "pending").files()
+    waiting = CallQueue(home / "mlflow" / "pending").files()
     assert [json.loads(file.read_text())["call"] for file in waiting] == ["member", "report"]
-    assert not (home / "mlflow" / "mlflow.db").exists(), "an address means no local database"
+    assert not (home / "mlflow" / "mlflow.db").exists(), "with an address, there is no local database"
 
     start()
     page = MlflowTracker(home, {"dagster_run_id": "second"}).member(IDENTITY, trained("member_01"))
@@ -141,7 +141,7 @@ def test_what_a_server_missed_is_replayed_once_and_in_order(tmp_path, server):
     assert parent.data.metrics == {"pa": 0.98}
     before = curve(client, children["member_00"], "loss")
 
-    # the process died after the call was made and before its file was removed
+    # a process that ends between a call and the removal of its file: the call is made again
     waiting[0].write_text(json.dumps({"call": "member", "arguments": _as_written(tracker)}))
     tracker.replay()
     client, _, children = runs(uri)
@@ -159,22 +159,22 @@ def _as_written(tracker):
     return written
 
 
-def test_a_call_that_can_never_be_made_is_set_aside_and_blocks_nothing(tmp_path):
+def test_a_call_that_fails_permanently_is_refused_and_blocks_nothing(tmp_path):
     tracker = MlflowTracker(tmp_path)
-    assert tracker.report(IDENTITY, {"pa": 0.9}, tmp_path / "is not there", {}) is None
+    assert tracker.report(IDENTITY, {"pa": 0.9}, tmp_path / "missing report", {}) is None
     assert tracker.member(IDENTITY, trained()) is not None
     (reason,) = (tmp_path / "mlflow" / "pending" / "refused").glob("*.txt")
-    assert "is not there" in reason.read_text()
+    assert "missing report" in reason.read_text()
 
 
-@pytest.mark.parametrize("what", ["a folder", "no database"])
-def test_a_database_that_cannot_be_opened_costs_a_warning(what, tmp_path, caplog):
+@pytest.mark.parametrize("kind", ["a folder", "not a database"])
+def test_a_database_that_cannot_be_opened_causes_a_warning(kind, tmp_path, caplog):
     database = tmp_path / "mlflow" / "mlflow.db"
-    if what == "a folder":
+    if kind == "a folder":
         database.mkdir(parents=True)
     else:
         database.parent.mkdir(parents=True)
-        database.write_bytes(b"nothing that SQLite knows" * 100)
+        database.write_bytes(b"not a SQLite database" * 100)
     tracker = MlflowTracker(tmp_path)
     assert tracker.member(IDENTITY, trained()) is None
     assert "wait" in caplog.text
@@ -182,7 +182,7 @@ def test_a_database_that_cannot_be_opened_costs_a_warning(what, tmp_path, caplog
     assert len(tracker.pending.files()) == 1
 
 
-def test_a_database_that_somebody_writes_is_there(tmp_path):
+def test_a_locked_or_missing_database_counts_as_reachable(tmp_path):
     with contextlib.closing(sqlite3.connect(tmp_path / "mlflow.db")) as connection:
         connection.execute("CREATE TABLE some (x)")
         connection.execute("BEGIN EXCLUSIVE")

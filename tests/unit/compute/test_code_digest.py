@@ -1,4 +1,4 @@
-"""Cache keys follow the imports of the work: what can be reached changes them, and nothing else does."""
+"""Cache keys follow imports: a change of a reachable module changes the key, other changes do not."""
 
 import pathlib
 import shutil
@@ -16,7 +16,7 @@ from deltasafe.studies.tracking.tracking_errors import record_runs
 
 @pytest.fixture
 def sources(tmp_path, monkeypatch):
-    """A copy of the package whose files a test may edit; the digests read it instead of the package."""
+    """Copy the package, and let the digests read the copy, whose files a test may edit."""
     root = pathlib.Path(deltasafe.__file__).parent
     shutil.copytree(root, tmp_path / "deltasafe", ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(code_digest, "_SOURCES", tmp_path)

@@ -1,4 +1,4 @@
-"""Delayed interrupts: nothing breaks into the block, nothing is lost."""
+"""Delayed interrupts: no signal interrupts the block, and none is lost."""
 
 import os
 import signal
@@ -13,7 +13,7 @@ from deltasafe.compute.interrupts import interrupts_delayed, sigint_blocked
 
 @pytest.fixture(autouse=True)
 def default_handler():
-    """A shell starts background jobs with SIGINT ignored, and tests may be one."""
+    """Restore the default handler: a shell ignores SIGINT in background jobs, and the tests may be one."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -49,14 +49,14 @@ def test_an_error_in_the_block_restores_the_handlers():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_another_thread_changes_no_handler():
+def test_in_another_thread_no_handler_is_changed():
     seen = []
 
-    def look():
+    def enter():
         with interrupts_delayed():
             seen.append(signal.getsignal(signal.SIGINT))
 
-    thread = threading.Thread(target=look)
+    thread = threading.Thread(target=enter)
     thread.start()
     thread.join()
     assert seen == [signal.getsignal(signal.SIGINT)]
@@ -65,7 +65,7 @@ def test_another_thread_changes_no_handler():
 def test_a_process_started_with_sigint_blocked_ignores_it():
     program = "import os, signal; os.kill(os.getpid(), signal.SIGINT); print('still here')"
     with sigint_blocked():
-        said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
-    assert said == "still here\n"
+        stdout = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+    assert stdout == "still here\n"
     with pytest.raises(KeyboardInterrupt):
         os.kill(os.getpid(), signal.SIGINT)

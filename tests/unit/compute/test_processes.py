@@ -1,4 +1,4 @@
-"""Processes identified by PID and start; servers with a child: one stops it, one forgets it, one ignores SIGTERM."""
+"""Processes are identified by PID and start time; servers are stopped together with their children."""
 
 import os
 import pathlib
@@ -24,7 +24,7 @@ linux = pytest.mark.skipif(not pathlib.Path("/proc/self/stat").is_file(), reason
 
 CHILD = """
 import pathlib, signal, sys, time
-signal.signal(signal.SIGTERM, lambda *_: (pathlib.Path(sys.argv[1]).write_text("asked"), sys.exit(0)))
+signal.signal(signal.SIGTERM, lambda *_: (pathlib.Path(sys.argv[1]).write_text("terminated"), sys.exit(0)))
 print("ready", flush=True)
 time.sleep(60)
 """
@@ -34,44 +34,44 @@ import signal, subprocess, sys, time
 child = subprocess.Popen([sys.executable, "-c", sys.argv[1], sys.argv[2]], stdout=subprocess.PIPE, text=True)
 child.stdout.readline()
 
-def stops_its_child(*_):
+def stop_child(*_):
     child.terminate()
-    print("child ended by itself" if child.wait() == 0 else "child was dead before", flush=True)
+    print("child ended in order" if child.wait() == 0 else "child had ended before", flush=True)
     sys.exit(0)
 
-what = {"in order": stops_its_child, "forgets": signal.SIG_DFL, "deaf": signal.SIG_IGN}[sys.argv[3]]
-signal.signal(signal.SIGTERM, what)
+handler = {"stops child": stop_child, "ignores child": signal.SIG_DFL, "ignores SIGTERM": signal.SIG_IGN}[sys.argv[3]]
+signal.signal(signal.SIGTERM, handler)
 print(child.pid, flush=True)
 while True:
     time.sleep(60)
 """
 
 
-@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").is_file(), reason="looks whether a process is there in /proc")
+@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").is_file(), reason="reads /proc")
 @pytest.mark.parametrize(
-    ("leads", "code", "said", "asked"),
+    ("leader_kind", "code", "stdout", "terminated"),
     [
-        ("in order", 0, "child ended by itself", True),
-        ("forgets", -signal.SIGTERM, "", True),
-        ("deaf", -signal.SIGKILL, "", False),
+        ("stops child", 0, "child ended in order", True),
+        ("ignores child", -signal.SIGTERM, "", True),
+        ("ignores SIGTERM", -signal.SIGKILL, "", False),
     ],
 )
-def test_a_server_ends_with_its_children(tmp_path, leads, code, said, asked):
-    command = [sys.executable, "-c", LEADER, CHILD, str(tmp_path / "asked"), leads]
+def test_a_server_stops_with_its_children(tmp_path, leader_kind, code, stdout, terminated):
+    command = [sys.executable, "-c", LEADER, CHILD, str(tmp_path / "terminated"), leader_kind]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as leader:
         child = int(leader.stdout.readline())
         assert start_ticks(child)
-        stop_session(leader, patience_s=1.0 if leads == "deaf" else 30.0)
+        stop_session(leader, patience_s=1.0 if leader_kind == "ignores SIGTERM" else 30.0)
         assert leader.returncode == code
-        assert leader.stdout.read().strip() == said
+        assert leader.stdout.read().strip() == stdout
     with pytest.raises(ProcessLookupError):
-        for _ in range(100):  # a killed one may take a moment
+        for _ in range(100):  # a killed process may take a moment to end
             start_ticks(child)
             time.sleep(0.05)
-    assert (tmp_path / "asked").exists() == asked
+    assert (tmp_path / "terminated").exists() == terminated
 
 
-def test_a_process_runs_until_it_is_killed_and_a_zombie_does_not_run():
+def test_a_killed_process_does_not_run_even_as_a_zombie():
     process = subprocess.Popen([sys.executable, "-c", SLEEP])
     mark = start_mark(process.pid)
     assert is_running(process.pid, mark)
@@ -85,7 +85,7 @@ def test_a_process_runs_until_it_is_killed_and_a_zombie_does_not_run():
 
 
 @linux
-def test_another_start_or_another_boot_is_another_process():
+def test_another_start_time_or_boot_is_another_process():
     boot, _, ticks = start_mark(os.getpid()).rpartition(":")
     assert is_running(os.getpid(), f"{boot}:{ticks}")
     assert not is_running(os.getpid(), f"{boot}:{int(ticks) - 1}")
@@ -94,7 +94,7 @@ def test_another_start_or_another_boot_is_another_process():
 
 
 @pytest.mark.parametrize("step_s", [-1e6, -10.0, 10.0, 1e6])
-def test_the_clock_does_not_matter(monkeypatch, step_s):
+def test_clock_changes_do_not_matter(monkeypatch, step_s):
     mark, now_s = start_mark(os.getpid()), time.time()
     monkeypatch.setattr(time, "time", lambda: now_s + step_s)
     assert is_running(os.getpid(), mark)

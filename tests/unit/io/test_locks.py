@@ -1,4 +1,4 @@
-"""Locks between processes: one holder, named to others, and released by its death."""
+"""Locks between processes: mutual exclusion, the holder in the error, release when the holder is killed."""
 
 import multiprocessing
 import os
@@ -29,12 +29,12 @@ def holder(tmp_path):
         process.kill()
 
 
-def test_the_error_names_the_process_that_holds_the_lock(tmp_path, holder):
+def test_the_error_names_the_holder(tmp_path, holder):
     with pytest.raises(LockedError, match=f"is in use by process {holder.pid} of "), FileLock(tmp_path / "lock", 0.2):
         pass
 
 
-def test_a_killed_holder_holds_nothing(tmp_path, holder):
+def test_the_lock_of_a_killed_process_is_free(tmp_path, holder):
     holder.send_signal(signal.SIGKILL)
     holder.wait()
     assert (tmp_path / "lock").is_file()
@@ -43,24 +43,24 @@ def test_a_killed_holder_holds_nothing(tmp_path, holder):
     assert not (tmp_path / "lock").exists()
 
 
-def test_an_error_releases_the_lock(tmp_path):
+def test_an_exception_releases_the_lock(tmp_path):
     with pytest.raises(ValueError, match="wrong"), FileLock(tmp_path / "lock"):
         raise ValueError("wrong")
     with FileLock(tmp_path / "lock", 0.0):
         pass
 
 
-def count_up(folder, times):
+def increment(folder, times):
     for _ in range(times):
         with FileLock(folder / "lock"):
             number = int((folder / "number").read_text())
             (folder / "number").write_text(f"{number + 1}")
 
 
-def test_one_holder_at_a_time(tmp_path):
+def test_only_one_process_holds_the_lock(tmp_path):
     (tmp_path / "number").write_text("0")
     context = multiprocessing.get_context("spawn")
-    processes = [context.Process(target=count_up, args=(tmp_path, 100)) for _ in range(3)]
+    processes = [context.Process(target=increment, args=(tmp_path, 100)) for _ in range(3)]
     for process in processes:
         process.start()
     for process in processes:

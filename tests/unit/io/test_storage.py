@@ -1,3 +1,5 @@
+"""Atomic writes, strict JSON and digests."""
+
 import dataclasses
 import os
 import pathlib
@@ -17,47 +19,47 @@ json_values = st.recursive(
 )
 
 
-def left_behind(folder):
+def names_in(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_a_failed_write_keeps_the_old_file(tmp_path):
     file = tmp_path / "a.txt"
     file.write_text("old")
     with pytest.raises(RuntimeError), atomic_file(file) as temporary:
         temporary.write_text("half")
         raise RuntimeError
     assert file.read_text() == "old"
-    assert left_behind(tmp_path) == ["a.txt"]
+    assert names_in(tmp_path) == ["a.txt"]
 
 
-def test_a_failed_folder_leaves_the_old_folder_and_nothing_else(tmp_path):
+def test_a_failed_write_keeps_the_old_folder(tmp_path):
     folder = tmp_path / "set"
     with atomic_folder(folder) as temporary:
         (temporary / "one").write_text("1")
     with pytest.raises(RuntimeError), atomic_folder(folder) as temporary:
         (temporary / "two").write_text("2")
         raise RuntimeError
-    assert left_behind(folder) == ["one"]
-    assert left_behind(tmp_path) == ["set"]
+    assert names_in(folder) == ["one"]
+    assert names_in(tmp_path) == ["set"]
 
 
-def test_a_new_folder_replaces_the_old_one_as_a_whole(tmp_path):
+def test_a_new_folder_replaces_all_files_of_the_old_one(tmp_path):
     folder = tmp_path / "set"
     for name in ("one", "two"):
         with atomic_folder(folder) as temporary:
             (temporary / name).write_text(name)
-    assert left_behind(folder) == ["two"]
-    assert left_behind(tmp_path) == ["set"]
+    assert names_in(folder) == ["two"]
+    assert names_in(tmp_path) == ["set"]
 
 
-def test_json_refuses_what_no_other_reader_understands(tmp_path):
+def test_write_json_refuses_nan(tmp_path):
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json(tmp_path / "a.json", {"value": float("nan")})
-    assert left_behind(tmp_path) == []
+    assert names_in(tmp_path) == []
 
 
-def test_reading_names_the_file_and_the_reason(tmp_path):
+def test_a_missing_or_invalid_json_file_is_named_with_the_reason(tmp_path):
     with pytest.raises(DataError, match="is missing") as raised:
         read_json(tmp_path / "none.json")
     assert raised.value.path == tmp_path / "none.json"
@@ -67,11 +69,11 @@ def test_reading_names_the_file_and_the_reason(tmp_path):
 
 
 @given(value=st.dictionaries(st.text(), json_values, max_size=5))
-def test_digest_does_not_depend_on_the_order_of_keys(value):
+def test_digest_is_independent_of_key_order(value):
     assert digest_of(value) == digest_of(dict(reversed(list(value.items()))))
 
 
-def test_digest_sees_dataclasses_arrays_and_paths_by_value():
+def test_digest_compares_dataclasses_arrays_and_paths_by_value():
     @dataclasses.dataclass
     class Point:
         x: float
@@ -82,13 +84,13 @@ def test_digest_sees_dataclasses_arrays_and_paths_by_value():
     assert digest_of(Point(1.0)) != digest_of(Point(2.0))
 
 
-def test_sha256_agrees_with_the_published_vector(tmp_path):
+def test_sha256_matches_the_published_test_vector(tmp_path):
     (tmp_path / "abc").write_bytes(b"abc")
     assert sha256_of_file(tmp_path / "abc") == ("ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad")
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ('{"a": 1, "a": 2}', "key 'a' occurs twice"),
         ('{"a": NaN}', "NaN is not a finite number"),
@@ -96,15 +98,15 @@ def test_sha256_agrees_with_the_published_vector(tmp_path):
         ('{"a": ' + "9" * 5000 + "}", "not valid JSON"),
         ("[" * 100_000 + "]" * 100_000, "nested too deeply"),
     ],
-    ids=["twice", "nan", "infinite", "digits", "deep"],
+    ids=["duplicate key", "nan", "infinite", "digits", "deep"],
 )
-def test_json_that_readers_disagree_on_is_refused(tmp_path, text, says):
+def test_ambiguous_or_non_finite_json_is_refused(tmp_path, text, message):
     (tmp_path / "a.json").write_text(text)
-    with pytest.raises(DataError, match=says):
+    with pytest.raises(DataError, match=message):
         read_json(tmp_path / "a.json")
 
 
-def test_a_pipe_is_not_waited_for(tmp_path):
+def test_a_named_pipe_is_refused_without_blocking(tmp_path):
     os.mkfifo(tmp_path / "a.json")
-    with pytest.raises(DataError, match="is no file"):
+    with pytest.raises(DataError, match="is not a file"):
         read_json(tmp_path / "a.json")

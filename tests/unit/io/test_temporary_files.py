@@ -1,3 +1,5 @@
+"""Leftovers of killed writers are removed, files in use are kept, and folders are replaced atomically."""
+
 import os
 import pathlib
 import signal
@@ -5,17 +7,16 @@ import time
 
 import pytest
 
-from deltasafe.io import storage
-from deltasafe.io import temporary_files as siblings
+from deltasafe.io import storage, temporary_files
 from deltasafe.io.storage import atomic_file, atomic_folder
 
 
-def left_behind(folder):
+def names_in(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
 def killed_while(writing):
-    """Run ``writing`` in a process that is killed as soon as it has reached the end of it."""
+    """Run ``writing`` in a child process that is killed when it calls its argument."""
     reads, writes = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -27,7 +28,7 @@ def killed_while(writing):
     os.close(reads), os.close(writes)
 
 
-def half_a_file(path):
+def partial_file(path):
     def writing(arrived):
         with atomic_file(path) as temporary:
             temporary.write_text("half")
@@ -36,7 +37,7 @@ def half_a_file(path):
     return writing
 
 
-def half_a_folder(path):
+def partial_folder(path):
     def writing(arrived):
         with atomic_folder(path) as temporary:
             (temporary / "half").write_text("half")
@@ -45,62 +46,62 @@ def half_a_folder(path):
     return writing
 
 
-@pytest.mark.parametrize("half", [half_a_file, half_a_folder])
-def test_what_a_killed_writer_left_goes_with_the_next_writing(tmp_path, half):
-    killed_while(half(tmp_path / "a.txt"))
-    assert len(left_behind(tmp_path)) == 1
+@pytest.mark.parametrize("partial", [partial_file, partial_folder])
+def test_the_next_write_removes_leftovers_of_a_killed_process(tmp_path, partial):
+    killed_while(partial(tmp_path / "a.txt"))
+    assert len(names_in(tmp_path)) == 1
     with atomic_file(tmp_path / "b.txt") as temporary:
         temporary.write_text("whole")
-    assert left_behind(tmp_path) == ["b.txt"]
+    assert names_in(tmp_path) == ["b.txt"]
 
 
-def test_what_others_are_writing_is_left_to_them(tmp_path):
+def test_files_of_running_processes_are_kept(tmp_path):
     with atomic_folder(tmp_path / "set") as mine:
         pid = os.fork()
         if pid == 0:
-            siblings.sweep(tmp_path)
+            temporary_files.remove_leftovers(tmp_path)
             os._exit(0 if mine.is_dir() else 1)
         assert os.waitpid(pid, 0)[1] == 0
-    assert left_behind(tmp_path) == ["set"]
+    assert names_in(tmp_path) == ["set"]
 
 
-def test_another_machines_siblings_are_swept_after_a_week(tmp_path):
+def test_leftovers_of_another_machine_are_removed_after_a_week(tmp_path):
     recent, old = (tmp_path / f".a~new.0123abcd.{os.getpid()}.{start}.x.txt" for start in (1, 2))
     recent.touch()
     old.touch()
     os.utime(old, (time.time() - 8 * 24 * 3600,) * 2)
-    siblings.sweep(tmp_path)
-    assert left_behind(tmp_path) == [recent.name]
+    temporary_files.remove_leftovers(tmp_path)
+    assert names_in(tmp_path) == [recent.name]
 
 
-def test_hidden_files_of_other_programs_are_not_siblings(tmp_path):
+def test_hidden_files_of_other_programs_are_kept(tmp_path):
     names = [".DS_Store", ".a~", ".a-1.txt", "a~new.0123abcd.1.1.x.txt"]
     for name in names:
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (0, 0))
-    siblings.sweep(tmp_path)
-    assert left_behind(tmp_path) == sorted(names)
+    temporary_files.remove_leftovers(tmp_path)
+    assert names_in(tmp_path) == sorted(names)
 
 
-def test_an_existing_folder_is_never_missing_while_it_is_replaced(tmp_path, monkeypatch):
+def test_a_folder_is_replaced_without_being_missing_in_between(tmp_path, monkeypatch):
     folder, seen = tmp_path / "set", []
     replace = pathlib.Path.replace
     monkeypatch.setattr(pathlib.Path, "replace", lambda self, other: replace(self, other) and seen.append(other))
     for name in ("one", "two"):
         with atomic_folder(folder) as temporary:
             (temporary / name).touch()
-    assert left_behind(folder) == ["two"]
-    assert seen == [folder], "the second time, the two names were exchanged"
-    assert left_behind(tmp_path) == ["set"]
+    assert names_in(folder) == ["two"]
+    assert seen == [folder], "the second write exchanges the two names"
+    assert names_in(tmp_path) == ["set"]
 
 
-def test_where_names_cannot_be_exchanged_a_retired_folder_comes_back(tmp_path, monkeypatch):
-    monkeypatch.setattr(storage, "exchange", lambda one, other: False)
+def test_a_backup_is_restored_after_a_kill_where_names_cannot_be_exchanged(tmp_path, monkeypatch):
+    monkeypatch.setattr(storage, "swap_names", lambda one, other: False)
     folder = tmp_path / "set"
     for name in ("one", "two"):
         with atomic_folder(folder) as temporary:
             (temporary / name).touch()
-    assert (left_behind(folder), left_behind(tmp_path)) == (["two"], ["set"])
+    assert (names_in(folder), names_in(tmp_path)) == (["two"], ["set"])
 
     def killed_between(arrived):
         replace = pathlib.Path.replace
@@ -114,12 +115,12 @@ def test_where_names_cannot_be_exchanged_a_retired_folder_comes_back(tmp_path, m
 
     killed_while(killed_between)
     assert not folder.exists()
-    siblings._sweep_once.cache_clear()
-    siblings.sweep(tmp_path)
-    assert (left_behind(folder), left_behind(tmp_path)) == (["two"], ["set"])
+    temporary_files._remove_once.cache_clear()
+    temporary_files.remove_leftovers(tmp_path)
+    assert (names_in(folder), names_in(tmp_path)) == (["two"], ["set"])
 
 
-def test_exchange_says_what_is_wrong(tmp_path):
+def test_swap_names_raises_if_a_folder_is_missing(tmp_path):
     (tmp_path / "one").mkdir()
     with pytest.raises(FileNotFoundError):
-        siblings.exchange(tmp_path / "one", tmp_path / "none")
+        temporary_files.swap_names(tmp_path / "one", tmp_path / "none")

@@ -1,3 +1,5 @@
+"""Failed writes become a `WriteError` that names the destination."""
+
 import errno
 import os
 import pathlib
@@ -17,7 +19,7 @@ from deltasafe.io.storage import atomic_file, atomic_folder, write_json
 
 @pytest.fixture
 def small_files():
-    """No file can be larger than 1000 bytes."""
+    """Limit the size of files to 1000 bytes."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
@@ -35,10 +37,10 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("writer", WRITERS)
-def test_a_full_disk_is_told_by_the_name_of_what_was_to_be_written(tmp_path, small_files, writer):
+def test_a_full_disk_is_reported_with_the_name_of_the_destination(tmp_path, small_files, writer):
     file = tmp_path / "a.npz"
     with (
-        pytest.raises(WriteError, match=r"a\.npz: cannot be written \(.*; free room there") as raised,
+        pytest.raises(WriteError, match=r"a\.npz: cannot be written \(.*; free space there") as raised,
         atomic_file(file) as new,
     ):
         WRITERS[writer](new)
@@ -46,13 +48,13 @@ def test_a_full_disk_is_told_by_the_name_of_what_was_to_be_written(tmp_path, sma
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_within_a_folder_is_told_by_the_name_of_the_folder(tmp_path, small_files):
+def test_a_failed_file_in_an_atomic_folder_names_the_folder(tmp_path, small_files):
     with pytest.raises(WriteError) as raised, atomic_folder(tmp_path / "set") as new:
         write_json(new / "large.json", ["x" * 5000])
     assert raised.value.path == tmp_path / "set"
 
 
-def test_other_errors_stay_what_they_are(tmp_path):
+def test_other_errors_are_not_translated(tmp_path):
     for error in (
         DataError(tmp_path / "input.json", "is missing; restore it"),
         FileNotFoundError(errno.ENOENT, "none", str(tmp_path / "input")),
@@ -65,8 +67,8 @@ def test_other_errors_stay_what_they_are(tmp_path):
         assert raised.value is error
 
 
-def test_a_folder_that_may_not_be_written_is_told():
-    with tempfile.TemporaryDirectory() as name:  # pytest's own folders are closed to others
+def test_a_missing_permission_is_reported():
+    with tempfile.TemporaryDirectory() as name:  # the temporary folders of pytest are not accessible to other users
         folder = pathlib.Path(name)
         folder.chmod(0o555)
         privileged = os.geteuid() == 0
@@ -81,6 +83,6 @@ def test_a_folder_that_may_not_be_written_is_told():
             folder.chmod(0o755)
 
 
-def test_it_comes_back_from_another_process_as_it_was():
+def test_the_error_survives_pickling():
     error = pickle.loads(pickle.dumps(WriteError("a", "b")))
     assert (str(error), error.path.name, error.reason) == ("a: b", "a", "b")
