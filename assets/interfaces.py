@@ -89,7 +89,7 @@ class Registry(Protocol):
     def champion(self) -> pathlib.Path | None:
         """Return the folder of the ensemble in use; None if there is none yet."""
 
-    def objection(self, folder: pathlib.Path) -> str:
+    def demotion_reason(self, folder: pathlib.Path) -> str:
         """Return why a person demoted the ensemble ``folder``; empty if it was not demoted."""
 
     def decide(self, folder: pathlib.Path, promoted: bool, reason: str) -> pathlib.Path:

@@ -276,13 +276,13 @@ def champion(
 
     Made from frozen_ensemble, test_hands and the MLflow registry. The check new_ensemble_is_not_worse gives the reason.
     """
-    from deltasafe.perception.artifact.promotion import judge_challenger
+    from deltasafe.perception.artifact.promotion import decide_promotion
     from deltasafe.perception.data.labeled_images import LabeledImageSet
 
-    present, objection = registry.champion(), registry.objection(frozen_ensemble)
+    present, demotion_reason = registry.champion(), registry.demotion_reason(frozen_ensemble)
     test, scores = LabeledImageSet.load(test_hands), store.home / "scores"
     settings, progress = config.settings(), progress_of(context)
-    verdict = judge_challenger(frozen_ensemble, present, test, scores, settings, objection, progress)
+    verdict = decide_promotion(frozen_ensemble, present, test, scores, settings, demotion_reason, progress)
     folder = registry.decide(frozen_ensemble, verdict.promoted, verdict.reason)
     return dg.MaterializeResult(
         value=folder,

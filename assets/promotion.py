@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import dagster as dg
 
 if TYPE_CHECKING:
-    from deltasafe.perception.artifact.promotion import Verdict
+    from deltasafe.perception.artifact.promotion import PromotionDecision
 
 __all__ = ["NOT_WORSE", "not_worse", "verdict_table"]
 
@@ -17,7 +17,7 @@ NOT_WORSE = dg.AssetCheckSpec(
 )
 
 
-def not_worse(verdict: "Verdict") -> dg.AssetCheckResult:
+def not_worse(verdict: "PromotionDecision") -> dg.AssetCheckResult:
     """Create the check result. A refused challenger is a warning, so that the run continues with the champion."""
     return dg.AssetCheckResult(
         check_name=NOT_WORSE.name,
@@ -28,7 +28,7 @@ def not_worse(verdict: "Verdict") -> dg.AssetCheckResult:
     )
 
 
-def verdict_table(verdict: "Verdict") -> dg.MarkdownMetadataValue:
+def verdict_table(verdict: "PromotionDecision") -> dg.MarkdownMetadataValue:
     """Show old and new scores, losses, and their margins."""
     outcome = "is now in use" if verdict.promoted else f"stays challenger; `{verdict.champion}` stays in use"
     lines = [f"`{verdict.challenger}` {outcome}: {verdict.reason}.", ""]

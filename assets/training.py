@@ -80,10 +80,10 @@ class Training:
         images_per_s: Mapping[int, float],
         data_digest: str,
     ) -> None:
-        from deltasafe.perception.training.loss_figure import loss_curves
+        from deltasafe.perception.training.loss_figure import plot_loss_curves
 
         losses, curve, per_epoch = member.losses, member.folder / "loss.png", member.record["steps_per_epoch"]
-        loss_curves({name: losses}, per_epoch, curve)
+        plot_loss_curves({name: losses}, per_epoch, curve)
         parameters = {**_flat(self.settings), "seed": member.seed}
         speeds = [speed for _, speed in sorted(images_per_s.items())]
         page = self.tracker.member(

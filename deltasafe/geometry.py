@@ -12,7 +12,7 @@ __all__ = ["Pose", "PosePath", "Trajectory", "as_rows", "wrap_to_pi", "yaw_of"]
 
 Array = NDArray[np.float64]
 
-FARTHEST = 1000.0
+MAX_COORDINATE = 1000.0
 """Largest coordinate, in meters and radians: compiled code converts coordinates to integer indices."""
 
 MAX_DURATION_S = 1e5
@@ -20,7 +20,7 @@ MAX_DURATION_S = 1e5
 
 
 def as_rows(values: object, columns: int, name: str) -> Array:
-    """Copy ``values`` to a contiguous float64 array (N, ``columns``), finite and within ``FARTHEST``.
+    """Copy ``values`` to a contiguous float64 array (N, ``columns``), finite and within ``MAX_COORDINATE``.
 
     Compiled code converts coordinates to indices without a check, and NaN or 1e300 would read outside the arrays. Each
     public function that calls such code validates its input here.
@@ -34,10 +34,10 @@ def as_rows(values: object, columns: int, name: str) -> Array:
         raise SettingsError(f"{name} must be numbers of shape (N, {columns}): {error}") from error
     if rows.ndim != 2 or rows.shape[1] != columns:
         raise SettingsError(f"{name} must have shape (N, {columns}), got {rows.shape}")
-    if not np.abs(rows).max(initial=0.0) <= FARTHEST:  # false for NaN
-        row = int(np.flatnonzero(~(np.abs(rows) <= FARTHEST).all(axis=1))[0])
+    if not np.abs(rows).max(initial=0.0) <= MAX_COORDINATE:  # false for NaN
+        row = int(np.flatnonzero(~(np.abs(rows) <= MAX_COORDINATE).all(axis=1))[0])
         raise SettingsError(
-            f"{name} must be finite and within {FARTHEST:g} meters and radians, got {rows[row].tolist()} in row {row}"
+            f"{name} must be finite and within {MAX_COORDINATE:g} meters and radians, got {rows[row].tolist()} in row {row}"
         )
     return rows
 
@@ -63,9 +63,9 @@ class Pose:
     yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(abs(value) <= FARTHEST for value in self.as_tuple()):  # false for NaN
+        if not all(abs(value) <= MAX_COORDINATE for value in self.as_tuple()):  # false for NaN
             raise SettingsError(
-                f"a pose must be finite and within {FARTHEST:g} meters and radians, got {self.as_tuple()}"
+                f"a pose must be finite and within {MAX_COORDINATE:g} meters and radians, got {self.as_tuple()}"
             )
 
     def as_tuple(self) -> tuple[float, float, float, float]:

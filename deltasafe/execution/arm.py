@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.execution.kinematics import JointLimits
-from deltasafe.geometry import FARTHEST
+from deltasafe.geometry import MAX_COORDINATE
 
 __all__ = ["Arm", "ArmState", "Dynamics", "FloatingTool", "measurement_fault"]
 
@@ -49,8 +49,8 @@ def measurement_fault(state: ArmState) -> str:
     ):
         if not math.isfinite(sum(values)):
             return f"the measured {name} are not finite: {values}"
-    if len(position) != 3 or max(map(abs, position)) > FARTHEST:
-        return f"the measured tool position is no place within {FARTHEST:g} m: {position}"
+    if len(position) != 3 or max(map(abs, position)) > MAX_COORDINATE:
+        return f"the measured tool position is no place within {MAX_COORDINATE:g} m: {position}"
     if len(quaternion) != 4 or not abs(sum(value * value for value in quaternion) - 1) <= _UNIT_TOLERANCE:
         return f"the measured tool rotation is no unit quaternion: {quaternion}"
     return ""

@@ -158,7 +158,9 @@ def largest_p_occupied(execution: Execution, grid: OccupancyField, body: ToolBod
     """(N,) largest p_occupied of the tool's points, ``spacing_m`` apart, at each measured pose."""
     points = body_points(body, spacing_m)
     if isinstance(grid, OccupancyGrid):
-        return np.asarray(grid.most_on(points, execution.tool_rotations, execution.tool_positions_m), dtype=np.float64)
+        return np.asarray(
+            grid.max_p_occupied_on(points, execution.tool_rotations, execution.tool_positions_m), dtype=np.float64
+        )
     poses = zip(execution.tool_rotations, execution.tool_positions_m, strict=True)
     return np.array([np.max(grid.at(points @ rotation.T + position)) for rotation, position in poses])
 

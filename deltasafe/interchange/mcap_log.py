@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.interchange.schemas import SCHEMAS
-from deltasafe.io.arrays import UNREADABLE
+from deltasafe.io.arrays import READ_ERRORS
 from deltasafe.io.storage import atomic_file, parse_json
 
 __all__ = ["NS_PER_S", "LogContent", "LogWriter", "read_log", "stamp", "time_ns_of"]
@@ -173,7 +173,7 @@ def read_log(path: str | pathlib.Path) -> LogContent:
         return _content(path)
     except FileNotFoundError:
         raise DataError(path, "is missing; give the log's file") from None
-    except (*UNREADABLE, McapError, ZstdError, AssertionError, IndexError, OverflowError) as error:
+    except (*READ_ERRORS, McapError, ZstdError, AssertionError, IndexError, OverflowError) as error:
         raise DataError(path, f"is not a readable MCAP log ({error!r}); record or export it again") from error
 
 

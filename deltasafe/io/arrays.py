@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
 
-__all__ = ["MAX_BYTES", "UNREADABLE", "read_npz"]
+__all__ = ["MAX_BYTES", "READ_ERRORS", "read_npz"]
 
 MAX_BYTES = 2 * 1024**3
 """Limit for the decompressed arrays of one file together. A few kilobytes can claim to hold more than any memory."""
 
-UNREADABLE = (
+READ_ERRORS = (
     OSError,
     EOFError,
     ValueError,
@@ -50,5 +50,5 @@ def read_npz(path: str | pathlib.Path) -> dict[str, NDArray[Any]]:
             return dict(arrays)
     except DataError:
         raise
-    except UNREADABLE as error:
+    except READ_ERRORS as error:
         raise DataError(path, f"is not readable ({' '.join(str(error).split())}); restore the file") from error

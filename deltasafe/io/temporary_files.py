@@ -20,7 +20,7 @@ import time
 
 from deltasafe.compute.processes import start_ticks
 
-__all__ = ["BACKUP", "left_behind", "remove_leftovers", "swap_names", "temporary_file", "temporary_folder"]
+__all__ = ["BACKUP", "find_temporary_files", "remove_leftovers", "swap_names", "temporary_file", "temporary_folder"]
 
 BACKUP = "retired"
 """Purpose of a temporary folder: the previous version, moved aside while it is replaced."""
@@ -65,7 +65,7 @@ def swap_names(one: pathlib.Path, other: pathlib.Path) -> bool:
     raise OSError(code, os.strerror(code), str(one), None, str(other))
 
 
-def left_behind(folder: pathlib.Path) -> list[pathlib.Path]:
+def find_temporary_files(folder: pathlib.Path) -> list[pathlib.Path]:
     """Find all temporary files and folders below ``folder``, also those in use."""
     return sorted(path for path in folder.rglob(".*") if _NAME.match(path.name))
 

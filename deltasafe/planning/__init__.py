@@ -3,7 +3,7 @@
 from deltasafe.planning.audit import Audit, verify_motion
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField
-from deltasafe.planning.collision.segment_query import answers_segments, segment_is_safe
+from deltasafe.planning.collision.segment_query import register_segment_test, segment_is_safe
 from deltasafe.planning.collision.segment_tests import (
     CheckSettings,
     SegmentTest,
@@ -42,7 +42,6 @@ __all__ = [
     "ToolBody",
     "TrackingBound",
     "VelocitySettings",
-    "answers_segments",
     "area_m2",
     "body_clearance_m",
     "grow_tree",
@@ -52,6 +51,7 @@ __all__ = [
     "plan",
     "plan_motion",
     "refine_path",
+    "register_segment_test",
     "schedule",
     "schedule_at_top_speed",
     "search_problem",

@@ -86,7 +86,7 @@ def _audit_poses(grid: OccupancyGrid, points_m: Array, poses: Array, delta: floa
     cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
     zero, one = np.zeros(len(poses)), np.ones(len(poses))
     rotations = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
-    worst = grid.most_on(points_m, rotations, poses[:, :3])
+    worst = grid.max_p_occupied_on(points_m, rotations, poses[:, :3])
     return Audit(len(poses), int((worst.astype(np.float64) > delta).sum()), float(worst.max()))
 
 

@@ -204,7 +204,7 @@ class Planner:
         self._test = segment_test(field, self._body, self._margin_m, checks, self.seed)
 
     def _grown_search(self, deadline_s: float) -> RrtStar:
-        settings, table_z_m = self.settings, self._field.arrays.floor_z_m
+        settings, table_z_m = self.settings, self._field.arrays.table_z_m
         if self._search is None:
             cost = line_cost(settings.cost, settings.rotation_weight_m2, table_z_m, settings.length_weight_m)
             bounds = search_bounds(self._field, settings, self._start, self._goals)
@@ -249,7 +249,7 @@ class Planner:
             _least_clearance_m(self._verifier, poses, self._body.rho_max_m),
             path_cost(search.problem.cost, poses),
             path_cost(line_cost("squared", self.settings.rotation_weight_m2), poses),
-            area_m2(poses, self._field.arrays.floor_z_m),
+            area_m2(poses, self._field.arrays.table_z_m),
             *counts,
             f"{refused} of {len(poses) - 1} segments fail the continuous check: use method continuous"
             if refused
@@ -276,7 +276,7 @@ def plan(
 
 def search_bounds(field: DistanceField, settings: PlannerSettings, start: Array, goals: Array) -> tuple[Array, Array]:
     """Lower and upper bounds (4,) of the poses: the field's extent and the settings, extended to start and goals."""
-    z_min, z_max = field.arrays.floor_z_m + settings.z_min_above_table_m, field.top_z_m + settings.z_max_above_field_m
+    z_min, z_max = field.arrays.table_z_m + settings.z_min_above_table_m, field.top_z_m + settings.z_max_above_field_m
     lower = np.array([*field.grid.origin_m[:2], z_min, start[3] - settings.yaw_range_rad])
     upper = np.array([*field.grid.upper_m[:2], z_max, start[3] + settings.yaw_range_rad])
     ends = np.vstack([start[None], goals])

@@ -76,7 +76,7 @@ class OccupancyGrid:
         p_occupied[inside] = self.p_occupied[tuple(index[inside].T)]
         return p_occupied
 
-    def most_on(
+    def max_p_occupied_on(
         self, points_m: NDArray[np.float64], rotations: NDArray[np.float64], positions_m: NDArray[np.float64]
     ) -> NDArray[np.float32]:
         """Look up the largest p_occupied (N,) at the points (P, 3) of a body, in each of N poses.

@@ -19,8 +19,8 @@ import torch
 
 from deltasafe.perception.data.augmented_set import augment_images
 from deltasafe.perception.data.labeled_images import LabeledImageSet
-from deltasafe.perception.training.network import build_network, pretrained_weights_at_hand
-from deltasafe.perception.training.precision import resolved_precision
+from deltasafe.perception.training.network import build_network, has_pretrained_weights
+from deltasafe.perception.training.precision import resolve_precision
 from deltasafe.perception.training.train_ensemble import MemberJob, train_members
 from deltasafe.presets import PRESETS, Preset
 from evidence.benchmarks.flops import training_flops
@@ -90,8 +90,8 @@ def measure(options: argparse.Namespace, folder: pathlib.Path) -> tuple[dict[str
         "image_size": [augmentation.width, augmentation.height],
         "steps": len(times),
         "threads": "one process with all cores",
-        "precision": resolved_precision(training.precision, torch.device("cpu")),
-        "pretrained_weights": pretrained_weights_at_hand(training.network),
+        "precision": resolve_precision(training.precision, torch.device("cpu")),
+        "pretrained_weights": has_pretrained_weights(training.network),
         "losses": losses,
         "recipe": dataclasses.asdict(training),
         "projection": {

@@ -23,7 +23,7 @@ from deltasafe.perception.data.augmentation import AugmentationSettings
 from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
 from deltasafe.perception.settings import NetworkSettings, TrainingSettings
 from deltasafe.perception.training.network import build_network
-from deltasafe.perception.training.precision import resolved_precision
+from deltasafe.perception.training.precision import resolve_precision
 from deltasafe.perception.training.train_ensemble import MemberJob, train_members
 from deltasafe.presets import PRESETS
 from evidence.benchmarks.flops import training_flops
@@ -119,7 +119,7 @@ def measure(bench: Bench, repeats: int) -> dict[str, list[float]]:
         "plain": bench.plain,
         "ours, small images": lambda: bench.ours(1.0),
     }
-    if resolved_precision(bench.recipe.precision, torch.device("cpu")) != "float32":
+    if resolve_precision(bench.recipe.precision, torch.device("cpu")) != "float32":
         loops["ours in float32"] = lambda: bench.ours(0.0, "float32")
     rates: dict[str, list[float]] = {name: [] for name in loops}
     for repeat in range(1, repeats + 1):
@@ -156,7 +156,7 @@ def peak_figures(
     rates: Mapping[str, list[float]], recipe: TrainingSettings, size: tuple[int, int], matrix_size: int
 ) -> tuple[dict[str, float], dict[str, Any]]:
     """Return FLOP/s of the loops as fractions of the matrix-multiplication peak, and the underlying numbers."""
-    precision = resolved_precision(recipe.precision, torch.device("cpu"))
+    precision = resolve_precision(recipe.precision, torch.device("cpu"))
     flops = training_flops(build_network(recipe.network, 0), *size)
     peaks = {str(kind).split(".")[1]: matmul_peak(kind, matrix_size) for kind in (torch.float32, torch.bfloat16)}
     ours, plain = statistics.median(rates["ours"]), statistics.median(rates["plain"])

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from random import Random
 
-from deltasafe.io.temporary_files import left_behind
+from deltasafe.io.temporary_files import find_temporary_files
 
 FILE_OPERATIONS = frozenset(
     ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.chmod", "os.scandir", "shutil.rmtree", "os.link")
@@ -170,7 +170,7 @@ def _recover(writer: Writer, home: pathlib.Path, committed: int) -> str:
     now = writer.read(home)
     if now < following:
         return f"{now} the next run wrote version {following}, but version {now} is stored"
-    if temporary := left_behind(home):
+    if temporary := find_temporary_files(home):
         return f"{now} left behind: {temporary[0].relative_to(home)}"
     return f"{now} "
 

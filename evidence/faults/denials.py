@@ -17,7 +17,7 @@ from functools import partial
 from random import Random
 
 from deltasafe.errors import WriteError
-from deltasafe.io.temporary_files import left_behind
+from deltasafe.io.temporary_files import find_temporary_files
 from evidence.faults.children import Child, Writer, ignore, run_in_child
 from evidence.faults.rejection import unprivileged
 from evidence.faults.writers import REGISTRY_ALIAS, prepared_writers
@@ -86,7 +86,7 @@ def deny(writer: Writer, home: pathlib.Path, name: str, denial: Denial) -> str:
     before = run_in_child(lambda: str(writer.read(home)))
     error, _, committed = run_in_child(partial(_write_denied, writer, home, following, denial)).partition(COMMITTED)
     during = run_in_child(lambda: str(writer.read(home)))
-    temporary = [path.name for path in left_behind(home)]
+    temporary = [path.name for path in find_temporary_files(home)]
     after = run_in_child(partial(_write_and_read, writer, home, following))
     expected = str(following + writer.per_run - 1)
     checks = {

@@ -6,7 +6,7 @@ import time
 from functools import partial
 from random import Random
 
-from deltasafe.io.temporary_files import left_behind
+from deltasafe.io.temporary_files import find_temporary_files
 from evidence.faults.children import Child, Writer, ignore, run_in_child
 from evidence.faults.writers import prepared_writers
 from evidence.reporting import command_parser, finish, print_progress
@@ -31,7 +31,7 @@ def race(writer: Writer, home: pathlib.Path, number: int, delay_s: float) -> str
         return f"versions {numbers} were written, but version {stored} is stored"
     if failure := run_in_child(partial(writer.write, home, max(numbers) + writer.per_run, ignore)):
         return f"the next version cannot be written: {failure}"
-    temporary = left_behind(home)
+    temporary = find_temporary_files(home)
     return f"left behind: {temporary[0].name}" if temporary else ""
 
 

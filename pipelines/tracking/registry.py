@@ -49,7 +49,7 @@ class EnsembleRegistry:
                     return _frozen_folder(version, self.tracker.home)
         return None if noted is None else self.tracker.home / "frozen" / noted
 
-    def objection(self, folder: pathlib.Path) -> str:
+    def demotion_reason(self, folder: pathlib.Path) -> str:
         """Return why a person demoted the ensemble ``folder``; empty if it was not demoted."""
         if self._is_behind():
             return ""

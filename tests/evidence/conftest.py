@@ -1,3 +1,3 @@
-from tests.pipelines.conftest import no_tracking_server_is_chosen
+from tests.pipelines.conftest import no_tracking_server
 
-__all__ = ["no_tracking_server_is_chosen"]
+__all__ = ["no_tracking_server"]

@@ -22,7 +22,7 @@ from deltasafe.perception.calibration.reliability import bootstrap_weights
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.settings import PromotionSettings
 
-__all__ = ["Loss", "Verdict", "compare_ensembles", "judge_challenger", "scores_on"]
+__all__ = ["Loss", "PromotionDecision", "compare_ensembles", "decide_promotion", "scores_on"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Loss:
 
 
 @dataclasses.dataclass(frozen=True)
-class Verdict:
+class PromotionDecision:
     """Which ensemble is to be used.
 
     Attributes:
@@ -130,34 +130,34 @@ def scores_on(
     return tuple(scores)
 
 
-def judge_challenger(
+def decide_promotion(
     challenger: pathlib.Path,
     champion: pathlib.Path | None,
     test: LabeledImageSet,
     kept: pathlib.Path,
     settings: PromotionSettings,
-    objection: str = "",
+    demotion_reason: str = "",
     progress: Progress = silent,
-) -> Verdict:
+) -> PromotionDecision:
     """Whether ``challenger`` takes the place of ``champion`` (None if there is none yet); see the module for the rule.
 
     Args:
         kept: folder of scores, by ensemble and digest of the test set.
-        objection: why a person took the challenger out of use; what a person decided is not overruled by figures.
+        demotion_reason: why a person took the challenger out of use; what a person decided is not overruled by figures.
 
     Raises:
         ArtifactError: one of the two is not intact.
     """
-    if champion is not None and objection and champion.name != challenger.name:
-        return Verdict(champion.name, challenger.name, False, f"taken out of use by hand: {objection}")
+    if champion is not None and demotion_reason and champion.name != challenger.name:
+        return PromotionDecision(champion.name, challenger.name, False, f"taken out of use by hand: {demotion_reason}")
     if champion is None or champion.name == challenger.name:
         reason = "the first of its kind" if champion is None else "the very ensemble that is in use"
-        return Verdict(challenger.name, challenger.name, True, reason)
+        return PromotionDecision(challenger.name, challenger.name, True, reason)
     old, new = (scores_on(folder, test, kept, progress) for folder in (champion, challenger))
     losses = compare_ensembles(old, new, settings)
     beyond = [str(loss) for loss in losses if not loss.tolerable]
     if beyond:
-        return Verdict(
+        return PromotionDecision(
             champion.name,
             challenger.name,
             False,
@@ -167,4 +167,4 @@ def judge_challenger(
         )
     held = "; ".join(str(loss) for loss in losses)
     reason = f"not worse than {champion.name} on {len(test)} test images: {held}"
-    return Verdict(challenger.name, challenger.name, True, reason, losses, len(test))
+    return PromotionDecision(challenger.name, challenger.name, True, reason, losses, len(test))

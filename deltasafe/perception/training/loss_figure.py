@@ -8,10 +8,12 @@ from matplotlib.figure import Figure
 
 from deltasafe.io.storage import atomic_file
 
-__all__ = ["loss_curves"]
+__all__ = ["plot_loss_curves"]
 
 
-def loss_curves(losses: Mapping[str, Sequence[float]], steps_per_epoch: int, destination: str | pathlib.Path) -> None:
+def plot_loss_curves(
+    losses: Mapping[str, Sequence[float]], steps_per_epoch: int, destination: str | pathlib.Path
+) -> None:
     """Training loss of each member over epochs, a running mean over a tenth of an epoch; a PNG.
 
     Args:

@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from deltasafe.perception.settings import NetworkSettings
 
-__all__ = ["SegmentationNetwork", "build_network", "pretrained_weights_at_hand"]
+__all__ = ["SegmentationNetwork", "build_network", "has_pretrained_weights"]
 
 _IMAGENET_MEAN = (0.485, 0.456, 0.406)
 _IMAGENET_SD = (0.229, 0.224, 0.225)
@@ -93,7 +93,7 @@ def _backbone(settings: NetworkSettings) -> tuple[nn.Module, int, int]:
             out_indices=(1, 4),
             pretrained=False,
         )
-        if pretrained_weights_at_hand(settings):
+        if has_pretrained_weights(settings):
             body.load_state_dict(_efficientnet_lite0_weights(), strict=True)
         return _Taps(body), 24, 320
     from torchvision import models
@@ -104,12 +104,12 @@ def _backbone(settings: NetworkSettings) -> tuple[nn.Module, int, int]:
     else:
         whole = models.mobilenet_v3_large(dilated=True).features
         layers, low_channels, high_channels = {"3": "low", "16": "high"}, 24, 960
-    if pretrained_weights_at_hand(settings):
+    if has_pretrained_weights(settings):
         _load_cached(whole, settings.backbone, prefix="" if settings.backbone == "resnet50" else "features.")
     return _Taps(models._utils.IntermediateLayerGetter(whole, layers)), low_channels, high_channels
 
 
-def pretrained_weights_at_hand(settings: NetworkSettings) -> bool:
+def has_pretrained_weights(settings: NetworkSettings) -> bool:
     """Whether `build_network` will begin from ImageNet weights: recorded with every member."""
     if not settings.pretrained:
         return False

@@ -6,10 +6,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["multiplying", "prepare", "resolved_precision"]
+__all__ = ["multiplying", "prepare", "resolve_precision"]
 
 
-def resolved_precision(name: str, device: torch.device) -> str:
+def resolve_precision(name: str, device: torch.device) -> str:
     """``float32`` or ``bfloat16``; ``auto`` is bfloat16 where ``device`` has instructions for it."""
     if name != "auto":
         return name

@@ -22,8 +22,8 @@ from deltasafe.perception.data.loader import Batches
 from deltasafe.perception.settings import TrainingSettings
 from deltasafe.perception.training.checkpoint import Checkpoint
 from deltasafe.perception.training.member import Member
-from deltasafe.perception.training.network import build_network, pretrained_weights_at_hand
-from deltasafe.perception.training.precision import multiplying, prepare, resolved_precision
+from deltasafe.perception.training.network import build_network, has_pretrained_weights
+from deltasafe.perception.training.precision import multiplying, prepare, resolve_precision
 
 __all__ = [
     "StepReport",
@@ -76,7 +76,7 @@ def training_identity(data: AugmentedSet, settings: TrainingSettings, seed: int 
         {
             "recipe": RECIPE_VERSION,
             "settings": settings,
-            "pretrained": pretrained_weights_at_hand(settings.network),
+            "pretrained": has_pretrained_weights(settings.network),
             "data": data.digest,
             "seed": seed,
         }
@@ -123,7 +123,7 @@ def _train(
     identity = training_identity(data, settings, seed)
     target = pick_device(device)
     network = build_network(settings.network, seed).to(target).to(memory_format=torch.channels_last).train()
-    precision = resolved_precision(settings.precision, target)
+    precision = resolve_precision(settings.precision, target)
     prepare(network, precision, target)
     forward = torch.compile(network) if settings.compile else network
     optimizer = torch.optim.AdamW(
@@ -170,7 +170,7 @@ def _train(
             "precision": precision,
             "data_digest": data.digest,
             "image_size": [data.images.shape[2], data.images.shape[1]],
-            "pretrained_weights": pretrained_weights_at_hand(settings.network),
+            "pretrained_weights": has_pretrained_weights(settings.network),
             "losses": losses,
             "steps_per_epoch": batches.per_epoch,
         },

@@ -32,7 +32,7 @@ def level_clearance(arrays, body, pose, needed_m, height_m):  # type: ignore[no-
     u, v = (x - lattice.lower_x_m) * lattice.per_m, (y - lattice.lower_y_m) * lattice.per_m
     w = (z - lattice.lower_z_m) * lattice.per_m
     k = int(min(max(w, 0.0), last_w))
-    least_m = z - body.half_thickness_m - arrays.floor_z_m
+    least_m = z - body.half_thickness_m - arrays.table_z_m
     if body.shaft_radius_m > 0:
         i, j = int(min(max(u, 0.0), last_u)), int(min(max(v, 0.0), last_v))
         shaft_m = FINE_UNIT_M * (arrays.ray_clearance[i, j, k] - 1.0)
@@ -123,7 +123,7 @@ def clearance_of_pose(arrays, body, pose):  # type: ignore[no-untyped-def]
     The bound of the disc is the best of its enclosing ball, its bounding balls and its cover.
     """
     x, y, z, yaw = pose
-    others_m = z - body.half_thickness_m - arrays.floor_z_m
+    others_m = z - body.half_thickness_m - arrays.table_z_m
     shaft_m = tight_clearance_at(arrays.squared_ray_distance, arrays.lattice, x, y, z) - body.shaft_radius_m
     others_m = min(others_m, shaft_m)
     disc_m = voxel_clearance_at(arrays.squared_distance, arrays.lattice, x, y, z) - body.disc_radius_m

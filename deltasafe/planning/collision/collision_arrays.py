@@ -34,7 +34,7 @@ class CollisionArrays(NamedTuple):
         cover: (n, 4) small balls that cover the disc tightly, sorted by group: center and radius.
         group_start: (m + 1,) index into ``cover`` of the first ball of each group.
         lattice: of the field.
-        floor_z_m: height of the table.
+        table_z_m: height of the table.
     """
 
     ray_clearance: NDArray[np.uint8]
@@ -50,7 +50,7 @@ class CollisionArrays(NamedTuple):
     cover: NDArray[np.float64]
     group_start: NDArray[np.int64]
     lattice: Lattice
-    floor_z_m: float
+    table_z_m: float
 
 
 def collision_arrays_of(field: DistanceField, body: ToolBody, margin_m: float) -> CollisionArrays:
@@ -72,7 +72,7 @@ def collision_arrays_of(field: DistanceField, body: ToolBody, margin_m: float) -
         cover,
         group_start,
         field.arrays.lattice,
-        field.arrays.floor_z_m,
+        field.arrays.table_z_m,
     )
 
 

@@ -10,7 +10,7 @@ from deltasafe.planning.collision.clearance import is_surely_unsafe, level_clear
 from deltasafe.planning.collision.clearance_tables import ClearanceTables, table_clearance_m
 from deltasafe.planning.collision.collision_arrays import CollisionArrays
 from deltasafe.planning.collision.segment import in_order, motion_m, pose_at
-from deltasafe.planning.collision.segment_query import answers_segments
+from deltasafe.planning.collision.segment_query import register_segment_test
 from deltasafe.planning.collision.yaw_clearance_table import is_free_by_yaw
 
 __all__ = ["BY_YAW_M", "ContinuousTest"]
@@ -38,7 +38,7 @@ class ContinuousTest(NamedTuple):
     resolution_m: float
 
 
-@answers_segments(ContinuousTest)
+@register_segment_test(ContinuousTest)
 @kernel
 def _continuous(test, first, second):  # type: ignore[no-untyped-def]
     """Step along the segment; each pose must be clear by the margin plus the motion since the last verified pose.

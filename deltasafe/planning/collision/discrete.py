@@ -13,7 +13,7 @@ from deltasafe.planning.collision.clearance_tables import ClearanceTables, table
 from deltasafe.planning.collision.collision_arrays import CollisionArrays
 from deltasafe.planning.collision.scenario_samples import SamplePool, samples_are_free
 from deltasafe.planning.collision.segment import in_order, motion_m, pose_at
-from deltasafe.planning.collision.segment_query import answers_segments
+from deltasafe.planning.collision.segment_query import register_segment_test
 from deltasafe.planning.collision.yaw_clearance_table import is_free_by_yaw
 
 __all__ = ["ExactTest", "SampledTest", "StepParams"]
@@ -45,7 +45,7 @@ class ExactTest(NamedTuple):
     steps: StepParams
 
 
-@answers_segments(SampledTest)
+@register_segment_test(SampledTest)
 @kernel
 def _sampled(test, first, second):  # type: ignore[no-untyped-def]
     start, end = in_order(first, second)
@@ -62,7 +62,7 @@ def _sampled(test, first, second):  # type: ignore[no-untyped-def]
     return True
 
 
-@answers_segments(ExactTest)
+@register_segment_test(ExactTest)
 @kernel
 def _exact(test, first, second):  # type: ignore[no-untyped-def]
     start, end = in_order(first, second)

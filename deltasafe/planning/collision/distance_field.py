@@ -59,13 +59,13 @@ class FieldArrays(NamedTuple):
         squared_distance: (nx, ny, nz) from the center of a voxel to the unsafe set, squared, in half voxels.
         squared_ray_distance: (nx, ny, nz) smallest ``squared_distance`` of the voxel and all voxels above it.
         lattice: position and size of the voxels.
-        floor_z_m: height of the table.
+        table_z_m: height of the table.
     """
 
     squared_distance: NDArray[np.uint16]
     squared_ray_distance: NDArray[np.uint16]
     lattice: Lattice
-    floor_z_m: float
+    table_z_m: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -253,7 +253,7 @@ def _clearances(field, points_m):  # type: ignore[no-untyped-def]
     clearance_m = np.empty(len(points_m))
     for n in range(len(points_m)):
         x, y, z = points_m[n, 0], points_m[n, 1], points_m[n, 2]
-        clearance_m[n] = min(tight_clearance_at(field.squared_distance, field.lattice, x, y, z), z - field.floor_z_m)
+        clearance_m[n] = min(tight_clearance_at(field.squared_distance, field.lattice, x, y, z), z - field.table_z_m)
     return clearance_m
 
 

@@ -45,7 +45,7 @@ def sample_pool(
     padded = -(-n_samples // BLOCK) * BLOCK
     points = body.samples(margin_m, POOL_SIZE if redraw else padded, seed) * lattice.per_m
     points = np.concatenate([points, points[:padded]]).T
-    floor = (field.arrays.floor_z_m - lattice.lower_z_m) * lattice.per_m
+    floor = (field.arrays.table_z_m - lattice.lower_z_m) * lattice.per_m
     return SamplePool(
         np.ascontiguousarray(points, np.float32), field.unsafe_bits.ravel(), int(n_samples), redraw, floor, int(seed)
     )

@@ -8,19 +8,19 @@ from numba.extending import overload
 
 from deltasafe.compute.numba_cache import kernel
 
-__all__ = ["answers_segments", "as_pose", "ask_segment", "segment_is_safe"]
+__all__ = ["as_pose", "register_segment_test", "segment_is_safe", "segment_passes"]
 
 
 def segment_is_safe(constraint: Any, start: Any, end: Any) -> bool:
     """Return whether every pose of the segment between two poses (tuples of 4) satisfies the constraint.
 
     Only compiled code may call it. numba resolves the call by the type of ``constraint``, a ``NamedTuple`` class whose
-    test was registered with ``answers_segments``.
+    test was registered with ``register_segment_test``.
     """
-    raise TypeError("segment_is_safe is for compiled code; call ask_segment")
+    raise TypeError("segment_is_safe is for compiled code; call segment_passes")
 
 
-def answers_segments(constraint_type: type) -> Callable[[Any], Any]:
+def register_segment_test(constraint_type: type) -> Callable[[Any], Any]:
     """Register a compiled ``test(constraint, start, end) -> bool`` for a ``NamedTuple`` class.
 
     ``start`` and ``end`` are tuples (x, y, z, yaw).
@@ -47,6 +47,6 @@ def as_pose(pose):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def ask_segment(constraint, start, end):  # type: ignore[no-untyped-def]
+def segment_passes(constraint, start, end):  # type: ignore[no-untyped-def]
     """Call ``segment_is_safe`` from Python, with poses as arrays (4,) of float64."""
     return segment_is_safe(constraint, as_pose(start), as_pose(end))

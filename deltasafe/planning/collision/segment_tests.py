@@ -18,7 +18,7 @@ from deltasafe.planning.collision.continuous import BY_YAW_M, ContinuousTest
 from deltasafe.planning.collision.discrete import ExactTest, SampledTest, StepParams
 from deltasafe.planning.collision.distance_field import DistanceField
 from deltasafe.planning.collision.scenario_samples import sample_pool
-from deltasafe.planning.collision.segment_query import as_pose, ask_segment
+from deltasafe.planning.collision.segment_query import as_pose, segment_passes
 
 __all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_segment_safe", "segment_test"]
 
@@ -105,7 +105,7 @@ def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
         SettingsError: a pose is not finite, or farther than 1000 m or 1000 rad from 0.
     """
     ends = as_rows((start, end), 4, "the poses of a segment")
-    return bool(ask_segment(test, ends[0], ends[1]))
+    return bool(segment_passes(test, ends[0], ends[1]))
 
 
 def body_clearance_m(test: SegmentTest, poses: Array) -> Array:

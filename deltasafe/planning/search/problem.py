@@ -29,7 +29,7 @@ def search_problem(
     """Make a problem.
 
     Args:
-        constraint: a ``NamedTuple`` registered with ``answers_segments``.
+        constraint: a ``NamedTuple`` registered with ``register_segment_test``.
         cost: line cost.
         lower, upper: bounds of the poses (4,).
 

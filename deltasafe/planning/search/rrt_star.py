@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.geometry import FARTHEST, as_rows
+from deltasafe.geometry import MAX_COORDINATE, as_rows
 from deltasafe.planning.search.kernels import (
     N_ITERATIONS,
     N_POINTS,
@@ -64,8 +64,8 @@ class RrtStarSettings:
     def __post_init__(self) -> None:
         if self.near_set not in NEAR_SETS:
             raise SettingsError(f"near_set must be one of {NEAR_SETS}, got {self.near_set!r}")
-        if not 0 < self.steering_range_m <= FARTHEST:
-            raise SettingsError(f"steering_range_m must be in (0, {FARTHEST:g}], got {self.steering_range_m}")
+        if not 0 < self.steering_range_m <= MAX_COORDINATE:
+            raise SettingsError(f"steering_range_m must be in (0, {MAX_COORDINATE:g}], got {self.steering_range_m}")
         if not 0 <= self.goal_bias < 1:
             raise SettingsError(f"goal_bias must be in [0, 1), got {self.goal_bias}")
         if not 0 < self.near_factor <= MAX_NEAR_FACTOR:

@@ -12,7 +12,7 @@ from deltasafe.compute.counter_rng import normal_pair, splitmix64, uniform
 from deltasafe.compute.numba_cache import inlined, kernel
 from deltasafe.geometry import as_rows
 from deltasafe.planning.collision.segment import pose_at
-from deltasafe.planning.collision.segment_query import as_pose, ask_segment, segment_is_safe
+from deltasafe.planning.collision.segment_query import as_pose, segment_is_safe, segment_passes
 from deltasafe.planning.search.cost import path_cost, pose_distance, segment_cost
 from deltasafe.planning.search.problem import SearchProblem, require_budget
 
@@ -83,7 +83,7 @@ def _merge_vertices(problem: SearchProblem, poses: Array) -> Array:
             if len(candidate) == len(poses) or path_cost(problem.cost, candidate) > best_cost:
                 continue
             changed = candidate[max(n - 1, 0) : min(n + 1, len(candidate) - 1) + 1]
-            if all(ask_segment(problem.constraint, a, b) for a, b in itertools.pairwise(changed)):
+            if all(segment_passes(problem.constraint, a, b) for a, b in itertools.pairwise(changed)):
                 best, best_cost = candidate, path_cost(problem.cost, candidate)
         if best is None:
             n += 1

@@ -12,7 +12,7 @@ from scipy.special import erfcinv
 from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.planning.collision.segment import in_order
-from deltasafe.planning.collision.segment_query import answers_segments, segment_is_safe
+from deltasafe.planning.collision.segment_query import register_segment_test, segment_is_safe
 from deltasafe.planning.collision.segment_tests import SegmentTest
 from deltasafe.studies.baselines.obstacles import GaussianObstacle, ObstacleArrays, obstacle_arrays
 from deltasafe.studies.baselines.probability import (
@@ -174,13 +174,13 @@ def _distance_at_risk(delta, sigma, upper):  # type: ignore[no-untyped-def]
     return high
 
 
-@answers_segments(GaussianTestInView)
+@register_segment_test(GaussianTestInView)
 @compiled
 def _segment_in_view(test, start, end):  # type: ignore[no-untyped-def]
     return segment_is_safe(test.outside, start, end) and segment_is_safe(test.obstacles, start, end)
 
 
-@answers_segments(GaussianTest)
+@register_segment_test(GaussianTest)
 @compiled
 def _segment(test, first, second):  # type: ignore[no-untyped-def]
     """Test poses at most delta_p apart, both ends included; the order of the ends does not matter."""

@@ -85,10 +85,10 @@ def search_in_space(
     grid = field.grid
     figure = new_figure(9.4, 7.0)
     ax = figure.add_subplot(projection="3d", computed_zorder=False)
-    floor_z_m = grid.origin_m[2]
+    table_z_m = grid.origin_m[2]
     faces, normals = _faces(grid, field.delta)
     shadows = faces.copy()
-    shadows[..., 2] = floor_z_m
+    shadows[..., 2] = table_z_m
     ax.add_collection3d(Poly3DCollection(shadows, facecolors="#dee0e5", edgecolors="#dee0e5", zorder=0))
     edges = _split(_edges(tree), _span_m(grid) / 50)
     polygons = np.concatenate([faces, edges[:, [0, 1, 1, 0]]])  # an edge is a quadrilateral without area
@@ -96,7 +96,7 @@ def search_in_space(
     ax.add_collection3d(Poly3DCollection(polygons, facecolors=colors, edgecolors=colors, linewidths=0.5, zorder=1))
     path = tree.path()
     if path is not None:
-        ax.plot(*path[:, :2].T, zs=floor_z_m, color="#9ea5af", lw=3.0, zorder=0.5)
+        ax.plot(*path[:, :2].T, zs=table_z_m, color="#9ea5af", lw=3.0, zorder=0.5)
         outlines = body_outlines(_densified(path), body, apart_m=_span_m(grid) / 14)
         fill = (*to_rgba(BODY)[:3], 0.4)
         ax.add_collection3d(Poly3DCollection(outlines, facecolors=fill, edgecolors=BODY, linewidths=0.9, zorder=2))

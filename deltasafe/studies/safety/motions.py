@@ -20,7 +20,7 @@ from deltasafe.planning import (
     search_problem,
     segment_test,
 )
-from deltasafe.planning.collision.segment_query import ask_segment
+from deltasafe.planning.collision.segment_query import segment_passes
 from deltasafe.planning.scc_rrt_star import search_bounds
 from deltasafe.planning.timing.velocity_schedule import CHORD_TOLERANCE_M
 from deltasafe.studies.baselines import GaussianCheckSettings, GaussianObstacle, GaussianTestInView, gaussian_test
@@ -105,10 +105,10 @@ def parametric_motion(
     start, goal = (pose.as_array() for pose in task)
     goal[3] = start[3] + wrap_to_pi(goal[3] - start[3])
     for name, end in (("start", start), ("goal", goal)):
-        if not ask_segment(constraint, end, end):
+        if not segment_passes(constraint, end, end):
             raise RefusalError(f"{name} unsafe")
     lower, upper = search_bounds(view, settings, start, goal[None])
-    cost = line_cost(settings.cost, settings.rotation_weight_m2, view.arrays.floor_z_m, settings.length_weight_m)
+    cost = line_cost(settings.cost, settings.rotation_weight_m2, view.arrays.table_z_m, settings.length_weight_m)
     problem = search_problem(constraint, cost, lower, upper)
     tree = grow_tree(problem, start, goal, settings.n_iterations, seed, settings.rrt_star)
     poses = tree.path()
@@ -121,7 +121,7 @@ def parametric_motion(
 def _at_top_speed(path: PosePath, constraint: Any, settings: MotionSettings) -> Trajectory:
     return schedule_at_top_speed(
         path,
-        lambda arc: all(ask_segment(constraint, a, b) for a, b in itertools.pairwise(arc)),
+        lambda arc: all(segment_passes(constraint, a, b) for a, b in itertools.pairwise(arc)),
         settings,
         settings.body,
         settings.rotation_weight_m2,

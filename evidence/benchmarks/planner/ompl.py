@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from deltasafe.planning.collision.segment_query import ask_segment
+from deltasafe.planning.collision.segment_query import segment_passes
 from deltasafe.studies.planner.scenes import GOAL, HIGHEST_POSE, LOWEST_POSE, START
 from evidence.benchmarks.planner.problems import COST, GOAL_BIAS, STEERING_M, Problem, write_problem
 
@@ -149,12 +149,12 @@ def _wheel_setup(test: Any, planner: str) -> tuple[Any, object]:
         def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802 - OMPL's name
             for axis in range(4):
                 first[axis], second[axis] = a[axis] / SCALE[axis], b[axis] / SCALE[axis]
-            return bool(ask_segment(test, first, second))
+            return bool(segment_passes(test, first, second))
 
     def is_valid(state: Any) -> bool:
         for axis in range(4):
             first[axis] = state[axis] / SCALE[axis]
-        return bool(ask_segment(test, first, first))
+        return bool(segment_passes(test, first, first))
 
     motion = Motion(information)
     information.setMotionValidator(motion)

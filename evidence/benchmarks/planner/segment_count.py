@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import kernel
-from deltasafe.planning import answers_segments, segment_is_safe
+from deltasafe.planning import register_segment_test, segment_is_safe
 from evidence.benchmarks.planner.problems import Problem
 
 
@@ -17,7 +17,7 @@ class Counted(NamedTuple):
     counts: NDArray[np.int64]
 
 
-@answers_segments(Counted)
+@register_segment_test(Counted)
 @kernel
 def _segment(counted, start, end):  # type: ignore[no-untyped-def]
     passed = segment_is_safe(counted.test, start, end)

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from deltasafe.compute.numba_cache import compiled
-from deltasafe.planning import answers_segments
+from deltasafe.planning import register_segment_test
 
 
 class Wall(NamedTuple):
@@ -14,7 +14,7 @@ class Wall(NamedTuple):
     gap_y: float
 
 
-@answers_segments(Wall)
+@register_segment_test(Wall)
 @compiled
 def passes(wall, start, end):  # type: ignore[no-untyped-def]
     for step in range(201):

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deltasafe.errors import ArtifactError, SettingsError
-from deltasafe.perception.artifact.promotion import compare_ensembles, judge_challenger, scores_on
+from deltasafe.perception.artifact.promotion import compare_ensembles, decide_promotion, scores_on
 from deltasafe.perception.calibration.metrics import ImageScores, score_image
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.settings import PromotionSettings
@@ -108,23 +108,23 @@ def made(tmp_path_factory):
 
 def test_the_first_is_promoted_and_the_same_again(made):
     test, good, _, kept = made
-    assert judge_challenger(good, None, test, kept, USUAL).promoted
-    assert judge_challenger(good, good, test, kept, USUAL).reason == "the very ensemble that is in use"
+    assert decide_promotion(good, None, test, kept, USUAL).promoted
+    assert decide_promotion(good, good, test, kept, USUAL).reason == "the very ensemble that is in use"
 
 
 def test_a_worse_one_is_refused_and_a_better_one_promoted(made):
     test, good, bad, kept = made
-    refused = judge_challenger(bad, good, test, kept, USUAL)
+    refused = decide_promotion(bad, good, test, kept, USUAL)
     assert (refused.champion, refused.promoted) == (good.name, False)
     assert "NLL" in refused.reason
     assert "beyond the margin" in refused.reason
-    accepted = judge_challenger(good, bad, test, kept, USUAL)
+    accepted = decide_promotion(good, bad, test, kept, USUAL)
     assert (accepted.champion, accepted.promoted) == (good.name, True)
 
 
 def test_what_a_person_took_out_of_use_is_not_promoted_by_its_figures(made):
     test, good, bad, kept = made
-    verdict = judge_challenger(good, bad, test, kept, USUAL, objection="saw gloves as background")
+    verdict = decide_promotion(good, bad, test, kept, USUAL, demotion_reason="saw gloves as background")
     assert (verdict.promoted, verdict.champion) == (False, bad.name)
     assert verdict.reason.endswith("saw gloves as background")
 
@@ -145,4 +145,4 @@ def test_a_damaged_champion_is_named(made, tmp_path):
     damaged = pathlib.Path(shutil.copytree(good, tmp_path / good.name))
     next(damaged.glob("member-*.safetensors")).write_bytes(b"?")
     with pytest.raises(ArtifactError, match="was altered"):
-        judge_challenger(bad, damaged, test, tmp_path / "scores", USUAL)
+        decide_promotion(bad, damaged, test, tmp_path / "scores", USUAL)

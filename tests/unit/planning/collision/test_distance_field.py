@@ -128,7 +128,7 @@ def test_non_finite_points_are_refused(value: float) -> None:
         with pytest.raises(SettingsError, match="points_m must be finite"):
             field.grid.at(points)
         with pytest.raises(SettingsError, match="positions_m must be finite"):
-            field.grid.most_on(np.zeros((1, 3)), np.stack([np.eye(3)] * 2), points)
+            field.grid.max_p_occupied_on(np.zeros((1, 3)), np.stack([np.eye(3)] * 2), points)
     for wrong in (np.zeros((2, 2)), np.zeros(3), np.zeros((2, 4))):
         with pytest.raises(SettingsError, match="points_m"):
             field.clearance_m(wrong)

@@ -137,7 +137,7 @@ def test_sampled_test_equals_a_look_up_of_each_sample(n_samples: int, grids: lis
                 continue
             index = np.clip(np.floor(voxels), 0, shape - 1).astype(int)
             unsafe = field.arrays.squared_distance[tuple(index.T)] == 0
-            assert answer == (not unsafe.any() and (placed[:, 2] >= field.arrays.floor_z_m).all())
+            assert answer == (not unsafe.any() and (placed[:, 2] >= field.arrays.table_z_m).all())
             free += answer
     assert free > 20
 

@@ -109,5 +109,5 @@ def test_straight_segment_is_tried_first() -> None:
 
 
 def test_segment_is_safe_raises_outside_of_compiled_code() -> None:
-    with pytest.raises(TypeError, match="ask_segment"):
+    with pytest.raises(TypeError, match="segment_passes"):
         segment_is_safe(OPEN, START, GOAL)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from deltasafe.errors import SettingsError
 from deltasafe.planning import grow_tree, line_cost, search_problem
-from deltasafe.planning.collision.segment_query import ask_segment
+from deltasafe.planning.collision.segment_query import segment_passes
 from deltasafe.studies.baselines import GaussianCheckSettings, GaussianObstacle, gaussian_test
 from deltasafe.studies.baselines.obstacles import obstacle_arrays
 from deltasafe.studies.baselines.probability import JOINT_RISKS, METHODS, risk
@@ -78,9 +78,9 @@ def test_segments_follow_the_probabilities_of_their_poses(method, joint_risk, cu
         obstacles = obstacles_of(seed, isotropic=isotropic)
         test = gaussian_test(obstacles, ROBOT_M, options)
         for start, end in segments_of(seed):
-            answers.append(ask_segment(test, start, end))
+            answers.append(segment_passes(test, start, end))
             assert answers[-1] == answer_by_definition(obstacles, options, start, end)
-            assert answers[-1] == ask_segment(test, end, start)
+            assert answers[-1] == segment_passes(test, end, start)
     assert 0.1 < np.mean(answers) < 0.95  # both answers occur
 
 
@@ -97,7 +97,7 @@ def test_numeric_search_and_closed_form_give_the_same_answers(joint_risk):
             for cull, numeric in itertools.product((True, False), (True, False))
         ]
         for start, end in segments_of(seed + 100):
-            assert len({ask_segment(test, start, end) for test in tests}) == 1
+            assert len({segment_passes(test, start, end) for test in tests}) == 1
 
 
 @settings(deadline=None, max_examples=60)
@@ -119,7 +119,7 @@ def test_smaller_delta_or_larger_robot_never_accepts_more(seed, method, joint_ri
         gaussian_test(obstacles, ROBOT_M + more, loose),
     ]
     for start, end in segments_of(seed, 10):
-        first, tighter, larger = (ask_segment(test, start, end) for test in tests)
+        first, tighter, larger = (segment_passes(test, start, end) for test in tests)
         assert first or not tighter
         assert first or not larger
 
@@ -165,7 +165,7 @@ def test_boole_is_more_conservative_than_delta_each():
 def test_empty_scenes_accept_every_segment():
     for joint_risk in JOINT_RISKS:
         test = gaussian_test([], ROBOT_M, GaussianCheckSettings(joint_risk=joint_risk))
-        assert ask_segment(test, np.zeros(4), np.ones(4))
+        assert segment_passes(test, np.zeros(4), np.ones(4))
 
 
 @pytest.mark.parametrize("method", METHODS)
