@@ -37,7 +37,8 @@ def as_rows(values: object, columns: int, name: str) -> Array:
     if not np.abs(rows).max(initial=0.0) <= MAX_COORDINATE:  # false for NaN
         row = int(np.flatnonzero(~(np.abs(rows) <= MAX_COORDINATE).all(axis=1))[0])
         raise SettingsError(
-            f"{name} must be finite and within {MAX_COORDINATE:g} meters and radians, got {rows[row].tolist()} in row {row}"
+            f"{name} must be finite and within {MAX_COORDINATE:g} meters and radians, "
+            f"got {rows[row].tolist()} in row {row}"
         )
     return rows
 
