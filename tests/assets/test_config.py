@@ -66,7 +66,7 @@ def test_a_run_gets_the_values_of_the_launchpad():
         (TrainingSettings(), "epochs", "passes over the augmented set"),
         (PRESETS["default"].motion, "gamma1_s", "the tracking bound gamma(v)"),
         (PRESETS["default"].motion, "delta", "occupied with at most this probability"),
-        (AugmentationSettings(), "left_out", "changes nothing in the draws of the others."),
+        (AugmentationSettings(), "left_out", "random draws of the other methods do not change."),
     ],
     ids=["own", "one of two", "inherited", "several lines"],
 )

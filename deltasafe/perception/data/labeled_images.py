@@ -168,7 +168,7 @@ def read_registry(path: str | pathlib.Path) -> dict[str, str]:
 
 def _files_by_stem(folder: pathlib.Path) -> dict[str, pathlib.Path]:
     if not folder.is_dir():
-        raise DataError(folder, "is not a folder; create it, a set consists of images/ and masks/")
+        raise DataError(folder, "is not a folder; make it, a set consists of images/ and masks/")
     files: dict[str, pathlib.Path] = {}
     for path in sorted(folder.iterdir()):
         if path.name.startswith("."):
@@ -224,7 +224,7 @@ def _check_image(path: pathlib.Path, data: bytes) -> None:
             with Image.open(io.BytesIO(data)) as opened:
                 width, height = opened.size
                 if width * height > MAX_PIXELS:
-                    raise DataError(path, f"has {width} x {height} pixels; reduce it to at most {MAX_PIXELS} pixels")
+                    raise DataError(path, f"has {width} x {height} pixels; at most {MAX_PIXELS} are allowed")
                 mode, orientation = opened.mode, opened.getexif().get(_EXIF_ORIENTATION, 1)
                 opened.load()
     except DataError:
