@@ -22,8 +22,8 @@ from deltasafe.planning import (
     segment_test,
 )
 from deltasafe.planning.collision.clearance_tables import UNIT_M
-from deltasafe.planning.collision.scenario_samples import POOL_SIZE
 from deltasafe.planning.collision.discrete import SampledTest
+from deltasafe.planning.collision.scenario_samples import POOL_SIZE
 from deltasafe.scene import grid_from_shapes
 from deltasafe.studies.planner.scenes import (
     GOAL,
