@@ -41,9 +41,10 @@ def translated_write_errors(destination: pathlib.Path) -> Iterator[None]:
 def _errno_of(error: Exception, destination: pathlib.Path) -> int | None:
     """Return the errno of a failed write; None for other failures, and for failures at another place."""
     if isinstance(error, WriteError):
-        inner = error.__cause__
-        is_here = isinstance(inner, Exception) and _is_at(error.path, destination)
-        return _errno_of(inner, destination) if is_here else None
+        cause = error.__cause__
+        if not isinstance(cause, Exception) or not _is_at(error.path, destination):
+            return None
+        return _errno_of(cause, destination)
     if isinstance(error, OSError) and error.errno is not None:
         paths = [pathlib.Path(os.fsdecode(name)) for name in (error.filename, error.filename2) if name is not None]
         is_here = not paths or any(_is_at(path, destination) for path in paths)
