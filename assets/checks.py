@@ -186,16 +186,21 @@ def true_hands_are_seen(
 def audit_finds_no_unsafe_point(
     planned_motions: pathlib.Path, occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path
 ) -> dg.AssetCheckResult:
+    return audit_result(logged_scenes, occupancy_fields, planned_motions)
+
+
+def audit_result(scenes: pathlib.Path, fields: pathlib.Path, motions: pathlib.Path) -> dg.AssetCheckResult:
+    """Audit all motions in a folder."""
     from deltasafe.trials.motions import audit_motions
     from deltasafe.trials.selection import load_selection
 
-    audited = audit_motions(load_selection(logged_scenes), occupancy_fields, planned_motions)
-    unsafe = {name: result.unsafe_poses for name, result in audited.items() if result.unsafe_poses}
-    poses = sum(result.poses for result in audited.values())
+    audits = audit_motions(load_selection(scenes), fields, motions)
+    unsafe = {name: audit.unsafe_poses for name, audit in audits.items() if audit.unsafe_poses}
+    poses = sum(audit.poses for audit in audits.values())
     where = f", in {', '.join(unsafe)}" if unsafe else ""
     return dg.AssetCheckResult(
         passed=not unsafe,
-        description=f"{sum(unsafe.values())} of {poses} poses on {len(audited)} trajectories are unsafe{where}",
+        description=f"{sum(unsafe.values())} of {poses} poses on {len(audits)} trajectories are unsafe{where}",
         metadata={"poses": poses, "unsafe poses": sum(unsafe.values()), "unsafe poses by scene": unsafe},
     )
 
@@ -224,18 +229,22 @@ def recordings_are_intact(executed_motions: pathlib.Path) -> dg.AssetCheckResult
     "every pose. A failure names the counts; the safety report shows the motions.",
 )
 def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
+    return safety_result(safety_report, n_required=1)
+
+
+def safety_result(report: pathlib.Path, n_required: int) -> dg.AssetCheckResult:
+    """Evaluate a safety report: all executed motions were safe, and at least ``n_required`` were executed."""
     from deltasafe.trials.safety_report import read_figures
 
-    figures = read_figures(safety_report)
+    figures = read_figures(report)
     safe, executed, contacts = (int(figures[name]) for name in ("scenes_safe", "scenes_executed", "contacts"))
     completed = int(figures.get("scenes_completed", safe))
     found = (
         f"{safe} of {executed} executed motions were safe; not completed: {executed - completed}; "
         f"contacts with hand or table: {contacts}"
     )
-    return dg.AssetCheckResult(
-        passed=contacts == 0 and safe == executed > 0, description=found, metadata=readable(figures)
-    )
+    passed = contacts == 0 and safe == executed >= n_required
+    return dg.AssetCheckResult(passed=passed, description=found, metadata=readable(figures))
 
 
 @dg.asset_check(

@@ -1,5 +1,6 @@
 """Motion: from logged scenes to executed motions and the safety report."""
 
+import functools
 import pathlib
 
 import dagster as dg
@@ -13,8 +14,8 @@ from assets.run_settings import planning_delta
 from deltasafe import presets
 
 PRESET = presets.active()
-GROUP = "motion"
-OWNERS = ["team:motion"]
+_asset = functools.partial(dg.asset, group_name="motion", owners=["team:motion"], code_version="1")
+_derived = functools.partial(_asset, retry_policy=RETRY_TWICE, automation_condition=ON_NEW_DATA)
 
 FieldConfig = configurable(PRESET.field)
 PlannerConfig = configurable(PRESET.motion)
@@ -52,7 +53,7 @@ class SafetyConfig(dg.Config):
     n_films: int = PRESET.n_films
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image", "json"}, code_version="1")
+@_asset(kinds={"image", "json"})
 @no_retry
 def logged_scenes(
     context: dg.AssetExecutionContext, config: ScenesConfig, store: dg.ResourceParam[Store]
@@ -76,14 +77,7 @@ def logged_scenes(
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"pytorch", "numpy"},
-    code_version="1",
-    retry_policy=RETRY_TWICE,
-    automation_condition=ON_NEW_DATA,
-)
+@_derived(kinds={"pytorch", "numpy"})
 @no_retry
 def occupancy_fields(
     context: dg.AssetExecutionContext,
@@ -109,15 +103,7 @@ def occupancy_fields(
     return dg.Output(folder, metadata={**metadata, **folder_facts(folder)})
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"numba"},
-    code_version="1",
-    retry_policy=RETRY_TWICE,
-    automation_condition=ON_NEW_DATA,
-    pool=ALL_CORES,
-)
+@_derived(kinds={"numba"}, pool=ALL_CORES)
 @no_retry
 def planned_motions(
     context: dg.AssetExecutionContext,
@@ -151,15 +137,7 @@ def planned_motions(
     return dg.Output(folder, metadata=metadata)
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"bullet"},
-    code_version="1",
-    retry_policy=RETRY_TWICE,
-    automation_condition=ON_NEW_DATA,
-    pool=ALL_CORES,
-)
+@_derived(kinds={"bullet"}, pool=ALL_CORES)
 @no_retry
 def executed_motions(
     context: dg.AssetExecutionContext,
@@ -198,14 +176,7 @@ def executed_motions(
     return dg.Output(folder, metadata=metadata)
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"markdown"},
-    code_version="1",
-    retry_policy=RETRY_TWICE,
-    automation_condition=ON_NEW_DATA,
-)
+@_derived(kinds={"markdown"})
 @no_retry
 def safety_report(
     context: dg.AssetExecutionContext,

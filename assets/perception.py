@@ -1,6 +1,7 @@
 """Perception: from labeled images to a frozen ensemble."""
 
 import dataclasses
+import functools
 import pathlib
 from typing import TYPE_CHECKING
 
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from deltasafe.perception.data.labeled_images import LabeledImageSet
 
 PRESET = presets.active()
-GROUP = "perception"
-OWNERS = ["team:perception"]
+_asset = functools.partial(dg.asset, group_name="perception", owners=["team:perception"], code_version="1")
+_retried = functools.partial(_asset, retry_policy=RETRY_TWICE)
 
 members = dg.StaticPartitionsDefinition([f"member_{index:02d}" for index in range(PRESET.n_members)])
 
@@ -86,7 +87,7 @@ def _checked_hands(config: HandsConfig, store: Store, packaged: str) -> dg.Outpu
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
+@_asset(kinds={"image"})
 @no_retry
 def raw_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
     """Labeled training images (image and mask). Every file is checked; the asset is the folder that contains them.
@@ -96,7 +97,7 @@ def raw_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[
     return _checked_hands(config, store, "hands/train")
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image"}, code_version="1")
+@_asset(kinds={"image"})
 @no_retry
 def test_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
     """Labeled test images. Only the calibration report, the comparison with the champion and the studies use them.
@@ -106,14 +107,7 @@ def test_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output
     return _checked_hands(config, store, "hands/test")
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"numpy", "image"},
-    code_version="1",
-    pool=ALL_CORES,
-    retry_policy=RETRY_TWICE,
-)
+@_retried(kinds={"numpy", "image"}, pool=ALL_CORES)
 @no_retry
 def augmented_hands(
     context: dg.AssetExecutionContext,
@@ -140,16 +134,7 @@ def augmented_hands(
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(made.digest[:16]))
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"pytorch"},
-    code_version="1",
-    partitions_def=members,
-    backfill_policy=dg.BackfillPolicy.single_run(),
-    pool=ALL_CORES,
-    retry_policy=RETRY_TWICE,
-)
+@_retried(kinds={"pytorch"}, partitions_def=members, backfill_policy=dg.BackfillPolicy.single_run(), pool=ALL_CORES)
 @no_retry
 def ensemble_member(
     context: dg.AssetExecutionContext,
@@ -171,14 +156,7 @@ def ensemble_member(
     return training.run(context, seeds, augmented_hands)
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"pytorch", "markdown"},
-    code_version="1",
-    pool=ALL_CORES,
-    retry_policy=RETRY_TWICE,
-)
+@_retried(kinds={"pytorch", "markdown"}, pool=ALL_CORES)
 @no_retry
 def calibration_report(
     context: dg.AssetExecutionContext,
@@ -227,7 +205,7 @@ def _calibration_set(folder: str, training: pathlib.Path) -> "LabeledImageSet | 
     return calibration
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"pytorch", "onnx"}, code_version="2", retry_policy=RETRY_TWICE)
+@_retried(kinds={"pytorch", "onnx"}, code_version="2")
 @no_retry
 def frozen_ensemble(
     ensemble_member: dict[str, pathlib.Path],
@@ -253,16 +231,7 @@ def frozen_ensemble(
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(folder.name))
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"mlflow"},
-    code_version="1",
-    retry_policy=RETRY_TWICE,
-    check_specs=[NOT_WORSE],
-    dagster_type=dg.Any,
-    pool="registry",
-)
+@_retried(kinds={"mlflow"}, check_specs=[NOT_WORSE], dagster_type=dg.Any, pool="registry")
 @no_retry
 def champion(
     context: dg.AssetExecutionContext,

@@ -1,19 +1,22 @@
 """Single scene: plan and execute one logged scene at a time. Every scene is a partition."""
 
+import functools
 import pathlib
 
 import dagster as dg
 
+from assets.checks import audit_result, safety_result
 from assets.interfaces import Store
 from assets.motion import ExecutionConfig, FieldConfig, PlannerConfig
 from assets.policies import ALL_CORES, RETRY_TWICE, no_retry
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture, readable, report_with_summary
 
-GROUP = "single_scene"
-OWNERS = ["team:motion"]
-
 scenes = dg.DynamicPartitionsDefinition(name="scenes")
+_asset = functools.partial(
+    dg.asset, group_name="single_scene", owners=["team:motion"], code_version="1", partitions_def=scenes
+)
+_heavy = functools.partial(_asset, pool=ALL_CORES, retry_policy=RETRY_TWICE)
 
 
 class SceneConfig(dg.Config):
@@ -40,7 +43,7 @@ class SceneExecutionConfig(dg.Config):
     seed: int = 0
 
 
-@dg.asset(group_name=GROUP, owners=OWNERS, kinds={"image", "json"}, code_version="1", partitions_def=scenes)
+@_asset(kinds={"image", "json"})
 @no_retry
 def logged_scene(
     context: dg.AssetExecutionContext, config: SceneConfig, store: dg.ResourceParam[Store]
@@ -60,15 +63,7 @@ def logged_scene(
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"pytorch", "numba"},
-    code_version="1",
-    partitions_def=scenes,
-    pool=ALL_CORES,
-    retry_policy=RETRY_TWICE,
-)
+@_heavy(kinds={"pytorch", "numba"})
 @no_retry
 def scene_motion(
     context: dg.AssetExecutionContext,
@@ -91,15 +86,7 @@ def scene_motion(
     return dg.Output(folder, metadata={"plan": plan, **facts, **folder_facts(folder)})
 
 
-@dg.asset(
-    group_name=GROUP,
-    owners=OWNERS,
-    kinds={"bullet", "markdown"},
-    code_version="1",
-    partitions_def=scenes,
-    pool=ALL_CORES,
-    retry_policy=RETRY_TWICE,
-)
+@_heavy(kinds={"bullet", "markdown"})
 @no_retry
 def scene_execution(
     context: dg.AssetExecutionContext,
@@ -131,14 +118,7 @@ def scene_execution(
     "an error in the planner, and stops the run before execution.",
 )
 def audit_of_the_scene(scene_motion: pathlib.Path, logged_scene: pathlib.Path) -> dg.AssetCheckResult:
-    from deltasafe.trials.motions import audit_motions
-    from deltasafe.trials.selection import load_selection
-
-    audits = audit_motions(load_selection(logged_scene), scene_motion / "fields", scene_motion / "motions")
-    unsafe = sum(audit.unsafe_poses for audit in audits.values())
-    poses = sum(audit.poses for audit in audits.values())
-    description = f"{unsafe} of {poses} poses are unsafe" if audits else "there is no motion to audit"
-    return dg.AssetCheckResult(passed=unsafe == 0, description=description, metadata={"poses": poses})
+    return audit_result(logged_scene, scene_motion / "fields", scene_motion / "motions")
 
 
 @dg.asset_check(
@@ -148,9 +128,4 @@ def audit_of_the_scene(scene_motion: pathlib.Path, logged_scene: pathlib.Path) -
     "pose. The safety report shows why it failed.",
 )
 def execution_of_the_scene_was_safe(scene_execution: pathlib.Path) -> dg.AssetCheckResult:
-    from deltasafe.trials.safety_report import read_figures
-
-    figures = read_figures(scene_execution / "report")
-    safe, executed, contacts = (int(figures[name]) for name in ("scenes_safe", "scenes_executed", "contacts"))
-    found = f"{safe} of {executed} motions were safe; contacts with hand or table: {contacts}"
-    return dg.AssetCheckResult(passed=contacts == 0 and safe == executed, description=found, metadata=readable(figures))
+    return safety_result(scene_execution / "report", n_required=0)

@@ -70,14 +70,12 @@ storage:
 """
 _DIALECT = "postgresql+psycopg2://"
 
-_FIRST_DAGSTER_YAML = """\
-telemetry:
-  enabled: false
-nux:
-  enabled: false
-python_logs:
-  python_log_level: INFO
-"""
+_FIRST_SETTINGS = {
+    "telemetry": {"enabled": False},
+    "nux": {"enabled": False},
+    "python_logs": {"python_log_level": "INFO"},
+}
+"""Content of the `dagster.yaml` that the first version wrote."""
 
 _ENVIRONMENT = {
     "DAGSTER_DISABLE_TELEMETRY": "1",
@@ -155,8 +153,8 @@ def _write_dagster_yaml(path: pathlib.Path, database: bool) -> None:
     except yaml.YAMLError as error:
         raise DataError(path, f"is not YAML ({' '.join(str(error).split())}); correct it, or delete it") from error
     wanted = _DAGSTER_YAML + (_POSTGRES if database else "")
-    ours = [yaml.safe_load(each) for each in (_DAGSTER_YAML, _DAGSTER_YAML + _POSTGRES, _FIRST_DAGSTER_YAML)]
-    if not text or present in ours:
+    default = [yaml.safe_load(_DAGSTER_YAML), yaml.safe_load(_DAGSTER_YAML + _POSTGRES), _FIRST_SETTINGS]
+    if not text or present in default:
         if text != wanted:
             with atomic_file(path) as temporary:
                 temporary.write_text(wanted, encoding="utf-8")

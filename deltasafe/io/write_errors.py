@@ -38,11 +38,13 @@ def translated_write_errors(destination: pathlib.Path) -> Iterator[None]:
         raise WriteError(destination, reason) from error
 
 
-def _errno_of(error: BaseException, destination: pathlib.Path) -> int | None:
+def _errno_of(error: Exception, destination: pathlib.Path) -> int | None:
     """Return the errno of a failed write; None for other failures, and for failures at another place."""
     if isinstance(error, WriteError):
-        inner = error.__cause__
-        return None if inner is None or not _is_at(error.path, destination) else _errno_of(inner, destination)
+        cause = error.__cause__
+        if not isinstance(cause, Exception) or not _is_at(error.path, destination):
+            return None
+        return _errno_of(cause, destination)
     if isinstance(error, OSError) and error.errno is not None:
         paths = [pathlib.Path(os.fsdecode(name)) for name in (error.filename, error.filename2) if name is not None]
         is_here = not paths or any(_is_at(path, destination) for path in paths)

@@ -5,7 +5,7 @@ Without `$DELTASAFE_STORE`, both are below the home only; with it, several homes
 
 import logging
 import pathlib
-from typing import Any, Protocol
+from typing import Any
 
 from deltasafe.errors import DataError
 from deltasafe.io.locks import FileLock
@@ -30,68 +30,54 @@ _MANAGED = ("store", "frozen")
 """Folders of the home that only this project writes to. If their content differs from the pointer, it is replaced."""
 
 
-class ArtifactStore(Protocol):
-    """Folders, and pointers to folders by name."""
-
-    def read_pointer(self, name: str) -> Pointer | None:
-        """Return a pointer; None if it does not exist."""
-
-    def write_pointer(self, name: str, pointer: Pointer) -> None:
-        """Replace a pointer atomically."""
-
-    def publish(self, folder: pathlib.Path) -> Pointer:
-        """Make a complete folder available to readers; return a pointer to it."""
-
-    def fetch(self, pointer: Pointer, remedy: str) -> pathlib.Path:
-        """Return the folder of a pointer on this machine; the error for a missing folder names ``remedy``."""
-
-    def restore(self, folder: pathlib.Path) -> None:
-        """Fetch a folder that another machine has published, if it is missing here."""
-
-    def missing_pointer(self, name: str, reason: str) -> DataError:
-        """Create the error for a pointer that does not exist."""
-
-
-class HomeStore:
+class ArtifactStore:
     """An artifact store below the home of one machine."""
 
     def __init__(self, home: pathlib.Path) -> None:
         self.home = home
 
     def read_pointer(self, name: str) -> Pointer | None:
-        path = self._path(name)
-        if not path.is_file():
-            return None
-        pointer: Pointer = read_json(path)
-        return pointer
+        """Return a pointer; None if it does not exist."""
+        path = self._pointer_file(name)
+        return read_json(path) if path.is_file() else None
 
     def write_pointer(self, name: str, pointer: Pointer) -> None:
-        write_json(self._path(name), pointer)
+        """Replace a pointer atomically."""
+        write_json(self._pointer_file(name), pointer)
 
     def publish(self, folder: pathlib.Path) -> Pointer:
-        """Return a path relative to the home for folders below it, so that a home can be moved."""
+        """Make a complete folder available to readers; return a pointer to it.
+
+        Paths below the home are relative to it, so that a home can be moved.
+        """
         try:
             return {"folder": folder.resolve().relative_to(self.home.resolve()).as_posix()}
         except ValueError:
             return {"folder": folder.resolve().as_posix()}
 
     def fetch(self, pointer: Pointer, remedy: str) -> pathlib.Path:
+        """Return the folder of a pointer on this machine.
+
+        Raises:
+            DataError: the folder is missing or damaged; the message ends with ``remedy``.
+        """
         folder = self.home / pointer["folder"]
         if not folder.exists():
             raise DataError(folder, f"was removed: {remedy}")
         return folder
 
     def restore(self, folder: pathlib.Path) -> None:
-        """Do nothing: no other machine publishes here."""
+        """Fetch a folder that another machine has published, if it is missing here."""
 
     def missing_pointer(self, name: str, reason: str) -> DataError:
-        return DataError(self._path(name), reason)
+        """Create the error for a pointer that does not exist."""
+        return DataError(self._pointer_file(name), reason)
 
-    def _path(self, name: str) -> pathlib.Path:
+    def _pointer_file(self, name: str) -> pathlib.Path:
         return self.home / "pointers" / f"{name}.json"
 
 
-class SharedArtifactStore:
+class SharedArtifactStore(ArtifactStore):
     """An artifact store in a `SharedStore`; the home caches the folders that were made or fetched there.
 
     Managed folders have the same name on every machine. A pointer to a packaged input consists of name and digest.
@@ -99,7 +85,8 @@ class SharedArtifactStore:
     """
 
     def __init__(self, home: pathlib.Path, store: SharedStore) -> None:
-        self.home, self.store = home, store
+        super().__init__(home)
+        self.store = store
 
     def read_pointer(self, name: str) -> Pointer | None:
         return self.store.read_json(f"pointers/{name}.json")
@@ -157,7 +144,7 @@ class SharedArtifactStore:
 def artifact_store(home: pathlib.Path) -> ArtifactStore:
     """Return the artifact store of a home: shared if `$DELTASAFE_STORE` is set."""
     store = store_from_environment()
-    return HomeStore(home) if store is None else SharedArtifactStore(home, store)
+    return ArtifactStore(home) if store is None else SharedArtifactStore(home, store)
 
 
 def _has_digest(folder: pathlib.Path, digest: str) -> bool:

@@ -4,12 +4,11 @@ Every call has the same effect when it is made again: runs are found by tags, ve
 and the points of a curve have the time of the call.
 """
 
-import dataclasses
 import json
 import os
 import pathlib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -28,35 +27,6 @@ _NO_MEMBER = "-"
 _MAX_POINTS = 200
 _MAX_DIGEST_LENGTH = 36
 _BATCH = 1000
-
-
-@dataclasses.dataclass(frozen=True)
-class _Origin:
-    """Tags and time of the original call."""
-
-    tags: Mapping[str, str]
-    at_ms: int
-
-
-@dataclasses.dataclass(frozen=True)
-class _Member:
-    """Arguments of the call `member`, besides the identity of the ensemble.
-
-    Attributes:
-        name: name of the member.
-        parameters: settings and seed.
-        losses: loss of every step.
-        epochs: values of every epoch, by metric.
-        data: digests of the training data, by name.
-        figure: path of the figure of the loss.
-    """
-
-    name: str
-    parameters: Mapping[str, str]
-    losses: Sequence[float]
-    epochs: Mapping[str, Sequence[float]]
-    data: Mapping[str, str]
-    figure: str
 
 
 class MlflowRecords(ModelVersions):
@@ -84,65 +54,60 @@ class MlflowRecords(ModelVersions):
 
     def make(self, name: str, arguments: Mapping[str, Any]) -> str:
         """Make a queued call of `MlflowTracker`; return the address of the page that shows the result."""
-        values = dict(arguments)
-        origin = _Origin(values.pop("tags"), values.pop("at_ms"))
-        if name == "member":
-            return self._record_member(values.pop("identity"), _Member(**values), origin)
-        if name == "report":
-            return self._record_report(origin, **values)
-        if name == "register":
-            return self._register(origin, **values)
-        # queued as `take_out` by earlier versions
+        if name in ("member", "report", "register"):
+            run: str = getattr(self, f"_record_{name}")(arguments)
+            return self._page(run)
+        # `take_out` is in the queues of earlier versions
         decide = {"promote": self.promote, "refuse": self.refuse, "demote": self.demote, "take_out": self.demote}[name]
-        decided = decide(values.pop("artifact"), values.pop("because"), **values)
-        return self._page(decided.run_id) if decided.run_id else self.uri
+        options = {key: arguments[key] for key in ("only_as_first",) if key in arguments}
+        version = decide(arguments["artifact"], arguments["because"], **options)
+        return self._page(version.run_id) if version.run_id else self.uri
 
-    def _record_member(self, identity: str, member: _Member, origin: _Origin) -> str:
+    def _record_member(self, call: Mapping[str, Any]) -> str:
         """Record a child run: parameters, metrics by step and by epoch, training data, figure of the loss."""
         from mlflow.entities import Metric, Param
 
-        parent = self._run(identity, "", origin.tags)
-        child = self._run(identity, member.name, {**origin.tags, "mlflow.parentRunId": parent})
+        parent = self._run(call["identity"], "", call["tags"])
+        child = self._run(call["identity"], call["name"], {**call["tags"], "mlflow.parentRunId": parent})
         if "loss" not in self.client.get_run(child).data.metrics:
-            n_steps = len(member.losses)
-            steps = range(0, n_steps, max(1, n_steps // _MAX_POINTS))
-            metrics = [Metric("loss", member.losses[step], origin.at_ms, step) for step in steps]
-            for key, values in member.epochs.items():
-                metrics += [Metric(key, value, origin.at_ms, epoch) for epoch, value in enumerate(values, start=1)]
+            losses, at_ms = call["losses"], call["at_ms"]
+            steps = range(0, len(losses), max(1, len(losses) // _MAX_POINTS))
+            metrics = [Metric("loss", losses[step], at_ms, step) for step in steps]
+            for key, values in call["epochs"].items():
+                metrics += [Metric(key, value, at_ms, epoch) for epoch, value in enumerate(values, start=1)]
             for first in range(0, len(metrics), _BATCH):
                 self.client.log_batch(child, metrics=metrics[first : first + _BATCH])
-        shared = {key: value for key, value in member.parameters.items() if key != "seed"}
-        for run, parameters in ((child, member.parameters), (parent, shared)):
+        shared = {key: value for key, value in call["parameters"].items() if key != "seed"}
+        for run, parameters in ((child, call["parameters"]), (parent, shared)):
             known = self.client.get_run(run).data.params
             new = [Param(key, value) for key, value in parameters.items() if key not in known]
             self.client.log_batch(run, params=new)
-        self._log_data(child, member.data, "training")
-        if pathlib.Path(member.figure).is_file():
-            self.client.log_artifact(child, member.figure, "figures")
+        self._log_data(child, call["data"], "training")
+        if pathlib.Path(call["figure"]).is_file():
+            self.client.log_artifact(child, call["figure"], "figures")
         self.client.set_terminated(child)
-        return self._page(child)
+        return child
 
-    def _record_report(
-        self, origin: _Origin, identity: str, figures: Mapping[str, float], folder: str, data: Mapping[str, str]
-    ) -> str:
+    def _record_report(self, call: Mapping[str, Any]) -> str:
         """Record figures, files and test images of a calibration report in the run of the ensemble."""
         from mlflow.entities import Metric
 
-        if not pathlib.Path(folder).is_dir():
-            raise FileNotFoundError(f"{folder} is missing; make the report again")
-        run = self._run(identity, "", origin.tags)
-        self.client.log_batch(run, metrics=[Metric(key, value, origin.at_ms, 0) for key, value in figures.items()])
-        self._log_data(run, data, "testing")
-        self.client.log_artifacts(run, folder, "calibration_report")
+        if not pathlib.Path(call["folder"]).is_dir():
+            raise FileNotFoundError(f"{call['folder']} is missing; make the report again")
+        run = self._run(call["identity"], "", call["tags"])
+        metrics = [Metric(key, value, call["at_ms"], 0) for key, value in call["figures"].items()]
+        self.client.log_batch(run, metrics=metrics)
+        self._log_data(run, call["data"], "testing")
+        self.client.log_artifacts(run, call["folder"], "calibration_report")
         self.client.set_terminated(run)
-        return self._page(run)
+        return run
 
-    def _register(self, origin: _Origin, identity: str, folder: str) -> str:
+    def _record_register(self, call: Mapping[str, Any]) -> str:
         """Register a frozen ensemble as a version of the model, with signature, example and alias `challenger`."""
         import mlflow
 
-        artifact = pathlib.Path(folder).name
-        run = self._run(identity, "", origin.tags)
+        artifact = pathlib.Path(call["folder"]).name
+        run = self._run(call["identity"], "", call["tags"])
         found = self.version_of(artifact)
         if found is None:
             with mlflow.start_run(run_id=run), warnings.catch_warnings():
@@ -151,17 +116,17 @@ class MlflowRecords(ModelVersions):
                 model = mlflow.pyfunc.log_model(
                     name="ensemble",
                     python_model=str(_MODEL_CODE),
-                    artifacts={"ensemble": folder},
+                    artifacts={"ensemble": call["folder"]},
                     code_paths=[str(PROJECT / "deltasafe")],
                     pip_requirements=[f"{name}=={version(name)}" for name in _REQUIREMENTS],
                     signature=_signature(),
                     input_example=_example(),
                     tags={"artifact": artifact},
                 )
-            tags = {**origin.tags, "artifact": artifact, _IDENTITY_TAG: identity}
+            tags = {**call["tags"], "artifact": artifact, _IDENTITY_TAG: call["identity"]}
             found = mlflow.register_model(model.model_uri, MODEL_NAME, tags=tags)
         self.make_challenger(found)
-        return self._page(run)
+        return run
 
     def _run(self, identity: str, member: str, tags: Mapping[str, str]) -> str:
         """Find or create the run of an ensemble (``member`` is empty) or of a member, and set its tags."""

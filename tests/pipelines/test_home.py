@@ -5,6 +5,7 @@ import platform
 
 import dagster as dg
 import pytest
+import yaml
 
 from deltasafe.errors import DataError, SettingsError
 from pipelines import home
@@ -65,7 +66,7 @@ def test_an_invalid_address_is_refused_without_showing_it(settings, monkeypatch)
 
 def test_a_file_that_was_written_here_is_updated(settings):
     settings.parent.mkdir()
-    settings.write_text("# an earlier comment\n" + home._FIRST_DAGSTER_YAML)
+    settings.write_text("# an earlier comment\n" + yaml.safe_dump(home._FIRST_SETTINGS))
     prepare_home()
     assert settings.read_text() == home._DAGSTER_YAML
 
