@@ -11,6 +11,7 @@ from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture, readable, with_opening
 from assets.run_settings import planning_delta
 from deltasafe import presets
+from deltasafe.compute.executor import Executor
 
 PRESET = presets.active()
 GROUP = "motion"
@@ -156,21 +157,22 @@ def executed_motions(
     occupancy_fields: pathlib.Path,
     planned_motions: pathlib.Path,
     store: dg.ResourceParam[Store],
+    executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
     """Every planned motion on the simulated iiwa under impedance control, beside the true hand."""
     from deltasafe.trials.executions import execute_scenes
+    from deltasafe.trials.motions import PlannedScenes
     from deltasafe.trials.selection import load_selection
 
     folder = store.folder("executed_motions", context.run_id[:8])
     outcomes = execute_scenes(
-        load_selection(logged_scenes),
-        occupancy_fields,
-        planned_motions,
+        PlannedScenes(load_selection(logged_scenes), occupancy_fields, planned_motions),
         folder,
         config.execution.settings(),
         config.first_seed,
-        workers=config.workers,
-        progress=progress_of(context, every_s=2.0),
+        config.workers,
+        executor,
+        progress_of(context, every_s=2.0),
     )
     executed = sum(outcome.executed for outcome in outcomes)
     reasons = {outcome.scene_id: outcome.reason for outcome in outcomes if not outcome.executed}
@@ -202,14 +204,13 @@ def safety_report(
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
     """Was what was executed delta-safe? Clearances to the true hand, contacts, tracking errors, films."""
+    from deltasafe.trials.motions import PlannedScenes
     from deltasafe.trials.selection import load_selection
     from deltasafe.trials.write_safety_report import write_safety_report
 
     folder = store.folder("safety_report", context.run_id[:8])
     report = write_safety_report(
-        load_selection(logged_scenes),
-        occupancy_fields,
-        planned_motions,
+        PlannedScenes(load_selection(logged_scenes), occupancy_fields, planned_motions),
         executed_motions,
         folder,
         n_films=config.n_films,

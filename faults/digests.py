@@ -42,7 +42,7 @@ def _perception(seed: int, home: pathlib.Path) -> dict[str, str]:
 
 
 def _motion(seed: int) -> dict[str, str]:
-    from deltasafe.execution import ExecutionSettings, execute
+    from deltasafe.execution import ExecutionSettings, MonitorLimits, Workcell, execute
     from deltasafe.geometry import Pose
     from deltasafe.planning import MotionSettings, plan_motion
     from deltasafe.scene import Cuboid, grid_from_shapes
@@ -56,7 +56,9 @@ def _motion(seed: int) -> dict[str, str]:
     planned = hashlib.sha256()
     for array in (motion.trajectory.time_s, motion.trajectory.poses, motion.trajectory.velocities):
         planned.update(array.tobytes())
-    execution = execute(motion.trajectory, None, motion.body, ExecutionSettings(), seed, bound=motion.tracking)
+    execution = execute(
+        motion.trajectory, Workcell(motion.body), ExecutionSettings(), seed, limits=MonitorLimits.of(motion.settings)
+    )
     return {"plan": planned.hexdigest(), "execution": execution.digest()}
 
 

@@ -1,4 +1,4 @@
-"""What may happen to an arm without its controller's knowledge: to be tested with, never part of an evidence run."""
+"""Disturbances that neither the controller nor its model accounts for. For tests only, never in an evidence run."""
 
 import dataclasses
 import math
@@ -11,12 +11,12 @@ __all__ = ["Disturbance", "Payload", "Push"]
 
 @dataclasses.dataclass(frozen=True)
 class Push:
-    """Somebody pushes a link at its center of mass.
+    """A force on a link at its center of mass.
 
     Attributes:
         force_n: (3) in the world frame.
-        start_s: since the beginning of the execution, the approach included.
-        duration_s: how long.
+        start_s: from the start of the execution, the approach included.
+        duration_s: of the push.
         link: 1 to 7 for the arm's links, 8 for the tool.
     """
 
@@ -38,10 +38,10 @@ class Push:
 
 @dataclasses.dataclass(frozen=True)
 class Payload:
-    """A mass at the flange that the model does not know of.
+    """A mass at the flange.
 
     Attributes:
-        mass_kg: of a ball around the flange's center; the arm is made for 14 kg.
+        mass_kg: of a ball around the flange's center; the arm is rated for 14 kg.
     """
 
     mass_kg: float

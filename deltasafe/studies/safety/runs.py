@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import PlanningError, SettingsError
+from deltasafe.execution import MonitorLimits, Workcell, evaluate_execution
 from deltasafe.execution.recording import Execution
-from deltasafe.execution.simulate import execute, iiwa_for
-from deltasafe.execution.verdict import judge, largest_p_occupied
+from deltasafe.execution.simulate import execute
+from deltasafe.execution.verdict import largest_p_occupied
 from deltasafe.geometry import Pose, Trajectory
 from deltasafe.planning import DistanceField, PlanResult, ToolBody, plan
 from deltasafe.scene import LoggedScene, OccupancyGrid, grid_from_image
@@ -269,25 +270,20 @@ class _Table:
 
     def _execute(self, trajectory: Trajectory) -> Execution:
         settings, scene = self.settings, self.scene
-        mesh = scene.true_mesh()
         fastest_m = float(settings.motion.tracking.error_m(settings.motion.v_max_mps))
         return execute(
             trajectory,
-            mesh,
-            self.body,
+            Workcell(self.body, scene.true_mesh(), scene.table_z_m),
             settings.execution,
             self.situation.arm_seed,
-            bound=settings.motion.tracking,
+            limits=MonitorLimits.of(settings.motion),
             unsafe_below_m=float(self.grid(False).upper_m[2]) + fastest_m,
-            make_arm=iiwa_for(self.body, mesh, scene.table_z_m),
         )
 
     def _judged(
         self, execution: Execution, trajectory: Trajectory, delta: float, grid: OccupancyGrid
     ) -> Mapping[str, Any]:
-        settings = self.settings
-        v_min_mps = settings.motion.v_min_mps
-        verdict = judge(execution, grid, self.body, delta, settings.motion.tracking, min_speed_mps=v_min_mps)
+        verdict = evaluate_execution(execution, grid, level_settings(self.settings.motion, delta))
         judged = execution.judged
         touching = execution.tool_to_hand_m[judged] <= 0
         unsafe = np.zeros(verdict.poses, np.bool_)

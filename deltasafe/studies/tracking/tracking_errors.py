@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.execution.simulate import execute
+from deltasafe.execution.workcell import Workcell
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.studies.tracking.settings import TrackingStudySettings
@@ -93,7 +94,7 @@ def _record(settings: TrackingStudySettings, seed: int) -> Tracks:
     for _ in range(_REDRAWS):
         motion = draw_motion(settings, rng)
         try:
-            run = execute(motion.trajectory, None, ToolBody(), how, seed)
+            run = execute(motion.trajectory, Workcell(ToolBody()), how, seed)
         except PlanningError:  # the arm cannot follow: no planner's motion would be executed either
             continue
         return Tracks(
