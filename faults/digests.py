@@ -56,9 +56,8 @@ def _motion(seed: int) -> dict[str, str]:
     planned = hashlib.sha256()
     for array in (motion.trajectory.time_s, motion.trajectory.poses, motion.trajectory.velocities):
         planned.update(array.tobytes())
-    execution = execute(
-        motion.trajectory, Workcell(motion.body), ExecutionSettings(), seed, limits=MonitorLimits.of(motion.settings)
-    )
+    limits = MonitorLimits.of(motion.settings)
+    execution = execute(motion.trajectory, Workcell(motion.body), ExecutionSettings(), seed, limits=limits)
     return {"plan": planned.hexdigest(), "execution": execution.digest()}
 
 

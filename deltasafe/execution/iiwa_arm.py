@@ -155,7 +155,7 @@ class IiwaArm:
         self._hold_joints(self._coulomb_nm)
 
     def _hold_joints(self, torques_nm: Array) -> None:
-        """Apply dry friction, or brakes: PyBullet's velocity motor with target 0 and a torque limit, solved implicitly."""
+        """Apply dry friction or brakes: PyBullet's velocity motor, target 0, with a torque limit; solved implicitly."""
         p = self._bullet
         for joint in JOINTS:
             p.setJointMotorControl2(

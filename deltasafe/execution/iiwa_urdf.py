@@ -41,9 +41,7 @@ def iiwa_with_tool(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> 
     disc = folder / "disc.obj"
     disc.write_text(_elliptic_cylinder(body), encoding="utf-8")
     robot.append(ET.fromstring(f'<link name="tool">{_tool_inertia(body)}{_tool_shapes(body, disc)}</link>'))
-    robot.append(
-        _weld("tool", f'<origin xyz="0 0 {FLANGE_IN_LINK_7_M + body.shaft_length_m!r}" rpy="{math.pi!r} 0 0"/>')
-    )
+    robot.append(_weld("tool", FLANGE_IN_LINK_7_M + body.shaft_length_m, math.pi))
     return robot
 
 
@@ -51,7 +49,7 @@ def add_payload(robot: ET.Element, mass_kg: float) -> None:
     """Add a ball without collision shape at the flange."""
     inertia = 0.4 * mass_kg * PAYLOAD_RADIUS_M**2
     robot.append(ET.fromstring(f'<link name="payload">{_inertial(0.0, mass_kg, inertia, inertia)}</link>'))
-    robot.append(_weld("payload", f'<origin xyz="0 0 {FLANGE_IN_LINK_7_M!r}"/>'))
+    robot.append(_weld("payload", FLANGE_IN_LINK_7_M, 0.0))
 
 
 def _tool_inertia(body: ToolBody) -> str:
@@ -85,18 +83,19 @@ def _tool_shapes(body: ToolBody, disc: pathlib.Path) -> str:
     return shapes
 
 
-def _inertial(height_m: float, mass_kg: float, across_kgm2: float, about_kgm2: float) -> str:
-    """Inertia of a body that is symmetric about its z axis; its center of mass lies at ``height_m`` on that axis."""
+def _inertial(height_m: float, mass_kg: float, across: float, about: float) -> str:
+    """Center of mass at ``height_m`` on the z axis; moments of inertia in kg m^2 across and about that axis."""
     return (
         f'<inertial><origin xyz="0 0 {height_m!r}"/><mass value="{mass_kg!r}"/>'
-        f'<inertia ixx="{across_kgm2!r}" iyy="{across_kgm2!r}" izz="{about_kgm2!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
+        f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{about!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
     )
 
 
-def _weld(link: str, origin: str) -> ET.Element:
-    """A fixed joint between the last link of the arm and ``link``."""
+def _weld(link: str, height_m: float, roll_rad: float) -> ET.Element:
+    """A fixed joint from the last link of the arm to ``link``."""
     return ET.fromstring(
-        f'<joint name="{link}_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="{link}"/>{origin}</joint>'
+        f'<joint name="{link}_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="{link}"/>'
+        f'<origin xyz="0 0 {height_m!r}" rpy="{roll_rad!r} 0 0"/></joint>'
     )
 
 

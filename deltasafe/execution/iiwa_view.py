@@ -52,18 +52,14 @@ class Viewpoint:
 
     @classmethod
     def looking_at(cls, eye_m: Array, target_m: Array, width: int, height: int, focal: float = 1.6) -> Self:
-        """Return an upright view from ``eye_m`` to ``target_m``; ``focal`` is the focal length in half image heights."""
+        """Return an upright view from ``eye_m`` to ``target_m``; ``focal`` is in half image heights."""
         backward = np.asarray(eye_m, dtype=np.float64) - np.asarray(target_m)
         backward /= np.linalg.norm(backward)
         right = np.cross([0.0, 0.0, 1.0], backward)
         right /= np.linalg.norm(right)
         axes = np.stack([right, np.cross(backward, right), backward], axis=1)
-        return cls(
-            width,
-            height,
-            _camera_from_world(axes, np.asarray(eye_m)),
-            _perspective(focal * height / width, focal, 0, 0),
-        )
+        clip = _perspective(focal * height / width, focal, 0, 0)
+        return cls(width, height, _camera_from_world(axes, np.asarray(eye_m)), clip)
 
     def pixels(self, points_m: Array) -> Array:
         """Project points (N, 3) to pixels (N, 2); NaN behind the camera."""
@@ -91,7 +87,7 @@ class ArmView:
         return self._image(joint_positions_rad, viewpoint)[0]
 
     def links_in_view(self, joint_positions_rad: Array, viewpoint: Viewpoint) -> dict[int, int]:
-        """Return the number of pixels of each visible link of the arm: 0 the base, 1 to 7 its links, without the tool."""
+        """Return the number of pixels of each visible link: 0 the base, 1 to 7 the links, without the tool."""
         labels = self._image(joint_positions_rad, viewpoint)[1]
         labels = labels[labels >= 0]
         links = labels[(labels & 0xFFFFFF) == self._world.arm] >> 24

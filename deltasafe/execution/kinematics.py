@@ -93,7 +93,7 @@ class IiwaKinematics:
         self._shoulder_m = mount.base_m + np.array([0.0, 0.0, BASE_TO_SHOULDER_M])
 
     def forward(self, joint_positions_rad: Array) -> tuple[Array, Array, Array, Array]:
-        """Return elbow, wrist, flange (N, 3) in meters and rotation (N, 3, 3) of the tool for (N, 7) joint positions."""
+        """Return elbow, wrist, flange (N, 3) in meters and rotation (N, 3, 3) of the tool for joints (N, 7)."""
         q = np.asarray(joint_positions_rad, dtype=np.float64)
         upper = self._base_rotation @ _rotation_z(q[:, 0]) @ _rotation_y(q[:, 1])
         lower = upper @ _rotation_z(q[:, 2]) @ _rotation_y(-q[:, 3])

@@ -1,4 +1,4 @@
-"""Figure of an executed motion: over the image that it was planned from; clearance, tracking error, speed, and limits."""
+"""Figure of an executed motion: over the image that it was planned from, with clearance, tracking error and speed."""
 
 import pathlib
 

@@ -43,9 +43,9 @@ def write_safety_report(
         for done, scene in enumerate(scenes, start=1):
             motion, outcome = load_motion(planned.motions, scene.id), outcomes[scene.id]
             delta = motion.settings.delta
-            verdict = (
-                _evaluate_scene(scene, motion, planned.fields, executions, temporary) if outcome.executed else None
-            )
+            verdict = None
+            if outcome.executed:
+                verdict = _evaluate_scene(scene, motion, planned.fields, executions, temporary)
             shutil.copyfile(planned.motions / scene.id / "plan.png", temporary / f"{scene.id}-plan.png")
             reports.append(_scene_report(scene, motion, verdict, outcome.reason))
             progress(done, len(scenes), f"evaluated {scene.id}")

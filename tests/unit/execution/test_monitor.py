@@ -146,8 +146,8 @@ TARGET = TaskReference(SOUND.tool_position_m, SOUND.tool_quaternion, np.zeros(6)
 EMPTY = DistanceField.build(OccupancyGrid(np.zeros((80, 80, 20), np.float32), np.array([-0.2, -0.2, 0.0]), 0.005), 0.05)
 
 
-def monitor_with(field=None, bound=TrackingBound()):
-    return Monitor(MonitorLimits(bound, field=field), SETTINGS, IIWA14_LIMITS, BODY)
+def monitor_with(field=None, bound=None):
+    return Monitor(MonitorLimits(bound or TrackingBound(), field=field), SETTINGS, IIWA14_LIMITS, BODY)
 
 
 def with_value(record, name, place, value):
@@ -266,7 +266,7 @@ def test_limits_of_a_motion_are_those_of_its_settings():
 
 
 def test_the_bound_is_evaluated_at_v_min_at_rest():
-    state = dataclasses.replace(SOUND, tool_position_m=SOUND.tool_position_m + [0.0019, 0, 0])
+    state = dataclasses.replace(SOUND, tool_position_m=np.array([0.0019, 0.0, 0.12]))
     for v_min_mps, stops in ((0.01, True), (0.02, False)):  # gamma and the margin allow 1.5 mm and 2 mm
         monitor = Monitor(MonitorLimits(v_min_mps=v_min_mps), SETTINGS, IIWA14_LIMITS, BODY)
         assert bool(monitor.violation(0.0, state, TARGET, is_planned=True)) == stops
