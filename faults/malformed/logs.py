@@ -73,9 +73,9 @@ def _said(change: Telling) -> Change:
         path.unlink()
         with LogWriter(path) as log:
             for topic, message in messages.items():
-                log.say(topic, SCHEMA[topic], 0, message)
+                log.write_message(topic, SCHEMA[topic], 0, message)
             for name, fact in facts.items():
-                log.note(name, fact)
+                log.write_facts(name, fact)
             for name, data in attachments.items():
                 log.attach(name, "application/octet-stream", data)
 
