@@ -123,7 +123,7 @@ class Frames:
         return pose
 
     def _newest(self, time_ns: int) -> list[_Transform]:
-        """The newest transforms of each pair of frames that are not later than a time; several if they are equally new."""
+        """The newest transforms of each pair of frames that are not later than a time; several with equal times."""
         newest: dict[tuple[str, str], list[_Transform]] = {}
         for one in self._transforms:
             if one.time_ns > time_ns:
@@ -195,7 +195,8 @@ def _numbers(log: LogContent, what: str, value: Any, names: str) -> NDArray[np.f
     if not all(type(one) in (int, float) and abs(one) <= MAX_COORDINATE for one in found):
         raise DataError(
             log.path,
-            f"{what} needs finite numbers {', '.join(names)} up to {MAX_COORDINATE:g}, got {value!r:.120}; record it again",
+            f"{what} needs finite numbers {', '.join(names)} up to {MAX_COORDINATE:g}, got {value!r:.120}; "
+            "record it again",
         )
     return np.array(found, np.float64)
 
