@@ -1,7 +1,5 @@
 """Film of an execution from its recorded joint positions: an oblique view beside the view of the logged camera."""
 
-import dataclasses
-import math
 import pathlib
 
 import numpy as np
@@ -14,7 +12,7 @@ from deltasafe.execution.workcell import Mesh, Workcell
 from deltasafe.io.storage import atomic_file
 from deltasafe.scene.camera import Camera
 
-__all__ = ["FilmSettings", "save_film"]
+__all__ = ["save_film"]
 
 Array = NDArray[np.float64]
 
@@ -23,29 +21,7 @@ _CUT_ABOVE_TABLE_M = 0.24
 _REFERENCE_RGB, _TRACE_RGB = (150, 150, 160), (20, 110, 220)
 _TEXT_RGB, _BAR_RGB = (235, 235, 235), (32, 34, 38)
 _BAR_PX = 26
-
-
-@dataclasses.dataclass(frozen=True)
-class FilmSettings:
-    """Size and length of a film.
-
-    Attributes:
-        seconds: length of the film; the motion is sped up or slowed down to this length.
-        frames_per_second: frame rate of the film.
-        view_width: pixels of each of the two views.
-    """
-
-    seconds: float = 7.0
-    frames_per_second: int = 10
-    view_width: int = 400
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.seconds) and 0 < self.seconds <= 60):
-            raise SettingsError(f"seconds must lie in (0, 60], got {self.seconds}")
-        if not 1 <= self.frames_per_second <= 50:
-            raise SettingsError(f"frames_per_second must lie in 1 to 50, got {self.frames_per_second}")
-        if not 64 <= self.view_width <= 1920:
-            raise SettingsError(f"view_width must lie in 64 to 1920 pixels, got {self.view_width}")
+_FRAMES_PER_S = 10
 
 
 def save_film(
@@ -53,22 +29,22 @@ def save_film(
     execution: Execution,
     camera: Camera,
     mesh: Mesh,
-    settings: FilmSettings | None = None,
     *,
     table_z_m: float = 0.0,
+    seconds: float = 7.0,
+    view_width: int = 400,
 ) -> None:
-    """Write the film as an animated GIF, atomically.
+    """Write a film of ``seconds`` as an animated GIF, atomically; both views are ``view_width`` pixels wide.
 
     Raises:
         SettingsError: the destination does not end in .gif.
     """
     from PIL import GifImagePlugin, Image
 
-    settings = settings or FilmSettings()
     destination = pathlib.Path(destination)
     if destination.suffix.lower() != ".gif":
         raise SettingsError(f"a film is an animated GIF and must end in .gif, got {destination.name}")
-    frames = _frames(execution, camera, Workcell(execution.body, mesh, table_z_m), settings)
+    frames = _frames(execution, camera, Workcell(execution.body, mesh, table_z_m), seconds, view_width)
     middle = np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]])
     palette = Image.fromarray(middle).quantize(128, dither=Image.Dither.NONE)
     images = [Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
@@ -78,21 +54,23 @@ def save_film(
             format=GifImagePlugin.GifImageFile.format,
             save_all=True,
             append_images=images[1:],
-            duration=round(1000 / settings.frames_per_second),
+            duration=round(1000 / _FRAMES_PER_S),
             loop=0,
             optimize=False,
         )
 
 
-def _frames(execution: Execution, camera: Camera, cell: Workcell, settings: FilmSettings) -> list[NDArray[np.uint8]]:
+def _frames(
+    execution: Execution, camera: Camera, cell: Workcell, seconds: float, view_width: int
+) -> list[NDArray[np.uint8]]:
     """Frames (H, W, 3) uint8: reference in gray, executed path in blue, a line of text below."""
     # the near plane of the camera's view cuts the links away: the arm passes between the camera and the table
     near_m = float(camera.position_m[2]) - cell.table_z_m - _CUT_ABOVE_TABLE_M
-    camera_view = Viewpoint.of_camera(camera, settings.view_width, max(near_m, 0.01))
-    oblique = Viewpoint.looking_at(np.array(_EYE_M), np.array(_TARGET_M), settings.view_width, camera_view.height)
-    count = max(2, round(settings.seconds * settings.frames_per_second))
+    camera_view = Viewpoint.of_camera(camera, view_width, max(near_m, 0.01))
+    oblique = Viewpoint.looking_at(np.array(_EYE_M), np.array(_TARGET_M), view_width, camera_view.height)
+    count = max(2, round(seconds * _FRAMES_PER_S))
     samples = np.round(np.linspace(0, len(execution.time_s) - 1, count)).astype(int)
-    speed_up = float(execution.time_s[-1] / settings.seconds)
+    speed_up = float(execution.time_s[-1] / seconds)
     frames = []
     with ArmView(cell) as arm:
         for sample in samples:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.execution.chain_model import ChainModel
-from deltasafe.execution.iiwa_urdf import add_payload, iiwa_with_tool
+from deltasafe.execution.iiwa_urdf import iiwa_with_tool
 from deltasafe.execution.kinematics import ArmMount
 from deltasafe.execution.workcell import Mesh, Workcell
 
@@ -44,7 +44,7 @@ class World:
     """A PyBullet client with arm, tool, table and hand.
 
     Args:
-        cell: tool, hand, table, and payloads, which ``model`` does not contain.
+        cell: tool, hand and table.
         mount: of the arm.
 
     Attributes:
@@ -100,8 +100,6 @@ class World:
         with tempfile.TemporaryDirectory(prefix="deltasafe-iiwa-") as folder:
             robot = iiwa_with_tool(pathlib.Path(folder), kuka, cell.body)
             model = ChainModel.from_urdf(robot, mount.base_rotation, mount.base_m, GRAVITY_MPS2)
-            if cell.payload_kg > 0:
-                add_payload(robot, cell.payload_kg)
             urdf = pathlib.Path(folder) / "iiwa14.urdf"
             ET.ElementTree(robot).write(urdf)
             arm = p.loadURDF(

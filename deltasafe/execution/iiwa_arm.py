@@ -55,20 +55,16 @@ class IiwaArm:
     """An ``Arm`` in a new PyBullet world, so that a run is a function of its seed.
 
     Args:
-        cell: tool, hand, table and disturbances; times of disturbances count from the last reset.
+        cell: tool, hand and table.
         seed: draws friction and torque sensor gains.
-        mount: of the arm; beside the table if None.
         friction: distribution of the joint friction.
     """
 
     control_period_s = 1e-3
 
-    def __init__(
-        self, cell: Workcell, seed: int = 0, *, mount: ArmMount | None = None, friction: JointFriction | None = None
-    ) -> None:
-        mount, friction = mount or ArmMount.beside(cell.table_z_m), friction or JointFriction()
+    def __init__(self, cell: Workcell, seed: int = 0, friction: JointFriction | None = None) -> None:
+        mount, friction = ArmMount.beside(cell.table_z_m), friction or JointFriction()
         self.kinematics = IiwaKinematics(mount, cell.body.shaft_length_m)
-        self._pushes = cell.pushes
         self._world = World(cell, mount)
         self._model = self._world.model
         self._bullet, self._client, self._arm = self._world.bullet, self._world.client, self._world.arm
@@ -79,7 +75,7 @@ class IiwaArm:
         self._gain = 1 + friction.torque_gain_sd * rng.standard_normal(len(JOINTS))
         self._links = self._world.link_surfaces()
         self._torque_limit_nm = np.array(self.limits.torque_nm)
-        self._steps, self._braked = 0, False
+        self._braked = False
         self._configure()
 
     @property
@@ -97,7 +93,6 @@ class IiwaArm:
 
     def reset(self, joint_positions_rad: Array) -> None:
         self._world.place(joint_positions_rad)
-        self._steps = 0
         if self._braked:
             self._hold_joints(self._coulomb_nm)
             self._braked = False
@@ -120,9 +115,7 @@ class IiwaArm:
         p.setJointMotorControlArray(
             self._arm, JOINTS, p.TORQUE_CONTROL, forces=torques.tolist(), physicsClientId=client
         )
-        self._push(self._steps * self.control_period_s)
         p.stepSimulation(physicsClientId=client)
-        self._steps += 1
         contacts = 0
         for other in (self._world.hand, self._world.table):
             if other is not None:
@@ -166,12 +159,3 @@ class IiwaArm:
                 force=float(torques_nm[joint]),
                 physicsClientId=self._client,
             )
-
-    def _push(self, time_s: float) -> None:
-        p, client = self._bullet, self._client
-        for push in self._pushes:
-            if push.start_s <= time_s < push.start_s + push.duration_s:
-                center = p.getLinkState(self._arm, push.link - 1, physicsClientId=client)[0]
-                p.applyExternalForce(
-                    self._arm, push.link - 1, push.force_n, center, p.WORLD_FRAME, physicsClientId=client
-                )

@@ -9,11 +9,10 @@ import numpy as np
 from deltasafe.execution.kinematics import IIWA14_LIMITS
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["LINK_RGBA", "TOOL_RGBA", "add_payload", "iiwa_with_tool"]
+__all__ = ["iiwa_with_tool"]
 
 FLANGE_IN_LINK_7_M = 0.045
 TOOL_DENSITY_KGPM3 = 1200.0  # printed plastic
-PAYLOAD_RADIUS_M = 0.04
 TOOL_RGBA = (0.05, 0.50, 0.42, 1.0)
 LINK_RGBA = (0.82, 0.83, 0.85, 1.0)
 
@@ -41,15 +40,13 @@ def iiwa_with_tool(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> 
     disc = folder / "disc.obj"
     disc.write_text(_elliptic_cylinder(body), encoding="utf-8")
     robot.append(ET.fromstring(f'<link name="tool">{_tool_inertia(body)}{_tool_shapes(body, disc)}</link>'))
-    robot.append(_weld("tool", FLANGE_IN_LINK_7_M + body.shaft_length_m, math.pi))
+    robot.append(
+        ET.fromstring(
+            '<joint name="tool_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="tool"/>'
+            f'<origin xyz="0 0 {FLANGE_IN_LINK_7_M + body.shaft_length_m!r}" rpy="{math.pi!r} 0 0"/></joint>'
+        )
+    )
     return robot
-
-
-def add_payload(robot: ET.Element, mass_kg: float) -> None:
-    """Add a ball without collision shape at the flange."""
-    inertia = 0.4 * mass_kg * PAYLOAD_RADIUS_M**2
-    robot.append(ET.fromstring(f'<link name="payload">{_inertial(0.0, mass_kg, inertia, inertia)}</link>'))
-    robot.append(_weld("payload", FLANGE_IN_LINK_7_M, 0.0))
 
 
 def _tool_inertia(body: ToolBody) -> str:
@@ -66,7 +63,10 @@ def _tool_inertia(body: ToolBody) -> str:
         + disc_kg * body.rho_max_m**2 / 4
     )
     about = (shaft_kg * body.shaft_radius_m**2) / 2 + disc_kg * (body.semi_axis_x_m**2 + body.semi_axis_y_m**2) / 4
-    return _inertial(height, mass, across, about)
+    return (
+        f'<inertial><origin xyz="0 0 {height!r}"/><mass value="{mass!r}"/>'
+        f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{about!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
 
 
 def _tool_shapes(body: ToolBody, disc: pathlib.Path) -> str:
@@ -81,22 +81,6 @@ def _tool_shapes(body: ToolBody, disc: pathlib.Path) -> str:
             f'<cylinder radius="{body.shaft_radius_m!r}" length="{shaft_m!r}"/></geometry>{material}</{kind}>'
         )
     return shapes
-
-
-def _inertial(height_m: float, mass_kg: float, across: float, about: float) -> str:
-    """Center of mass at ``height_m`` on the z axis; moments of inertia in kg m^2 across and about that axis."""
-    return (
-        f'<inertial><origin xyz="0 0 {height_m!r}"/><mass value="{mass_kg!r}"/>'
-        f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{about!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
-    )
-
-
-def _weld(link: str, height_m: float, roll_rad: float) -> ET.Element:
-    """A fixed joint from the last link of the arm to ``link``."""
-    return ET.fromstring(
-        f'<joint name="{link}_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="{link}"/>'
-        f'<origin xyz="0 0 {height_m!r}" rpy="{roll_rad!r} 0 0"/></joint>'
-    )
 
 
 def _elliptic_cylinder(body: ToolBody, corners: int = 64) -> str:

@@ -1,4 +1,4 @@
-"""Kinematics of the LBR iiwa 14 R820 in closed form, in numpy.
+"""Inverse kinematics of the LBR iiwa 14 R820 in closed form.
 
 The arm is S-R-S: three axes intersect in the shoulder, one axis is the elbow, three intersect in the wrist. With
 R(q) = Rz(q1) Ry(q2) Rz(q3) Ry(-q4) Rz(q5) Ry(q6) Rz(q7) the inverse is exact. The arm angle of the elbow about the
@@ -77,7 +77,7 @@ class ArmMount:
 
 
 class IiwaKinematics:
-    """Forward and inverse kinematics of an iiwa 14 with a straight tool below its flange.
+    """Inverse kinematics of an iiwa 14 with a straight tool below its flange.
 
     The origin of the tool frame is the center of the disc, z points along the shaft to the flange, x along the first
     semi-axis of the ellipse. With a vertical shaft its rotation in the world is Rz(yaw).
@@ -91,22 +91,6 @@ class IiwaKinematics:
         self.limits = IIWA14_LIMITS
         self._base_rotation = mount.base_rotation
         self._shoulder_m = mount.base_m + np.array([0.0, 0.0, BASE_TO_SHOULDER_M])
-
-    def forward(self, joint_positions_rad: Array) -> tuple[Array, Array, Array, Array]:
-        """Return elbow, wrist, flange (N, 3) in meters and rotation (N, 3, 3) of the tool for joints (N, 7)."""
-        q = np.asarray(joint_positions_rad, dtype=np.float64)
-        upper = self._base_rotation @ _rotation_z(q[:, 0]) @ _rotation_y(q[:, 1])
-        lower = upper @ _rotation_z(q[:, 2]) @ _rotation_y(-q[:, 3])
-        hand = lower @ _rotation_z(q[:, 4]) @ _rotation_y(q[:, 5]) @ _rotation_z(q[:, 6])
-        elbow = self._shoulder_m + SHOULDER_TO_ELBOW_M * upper[:, :, 2]
-        wrist = elbow + ELBOW_TO_WRIST_M * lower[:, :, 2]
-        flange = wrist + WRIST_TO_FLANGE_M * hand[:, :, 2]
-        return elbow, wrist, flange, hand @ np.diag([1.0, -1.0, -1.0])
-
-    def tool_position_m(self, joint_positions_rad: Array) -> Array:
-        """Return the center of the disc (N, 3) for (N, 7) joint positions."""
-        _, _, flange, rotation = self.forward(joint_positions_rad)
-        return np.asarray(flange - self.tool_length_m * rotation[:, :, 2])
 
     def inverse(self, poses: Array) -> Array:
         """Return joint positions (N, 7), continuous along the path, for tool poses (N, 4) with a vertical shaft.

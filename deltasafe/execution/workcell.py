@@ -1,4 +1,4 @@
-"""What a motion is executed in: tool, hand, table and disturbances, and the arm that carries the tool."""
+"""Surroundings of an execution: tool, hand and table, and the arm that carries the tool."""
 
 import contextlib
 import dataclasses
@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 from numpy.typing import NDArray
 
 from deltasafe.execution.arm import Arm
-from deltasafe.execution.disturbances import Disturbance, Payload, Push
 from deltasafe.planning.body import ToolBody
 
 __all__ = ["Mesh", "Workcell"]
@@ -18,31 +17,19 @@ Mesh: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
 
 @dataclasses.dataclass(frozen=True)
 class Workcell:
-    """The surroundings of the arm.
+    """The arm and what it moves beside.
 
     Attributes:
         body: the tool at the flange.
         mesh: vertices_m (V, 3) and triangles (F, 3) of the hand, solid in the simulation; None: no hand.
         table_z_m: height of the table; the arm stands beside it.
-        disturbances: pushes and payloads that the controller does not know.
         make_arm: returns an arm for a seed; None: the simulated iiwa 14.
     """
 
     body: ToolBody
     mesh: Mesh | None = None
     table_z_m: float = 0.0
-    disturbances: tuple[Disturbance, ...] = ()
     make_arm: Callable[[int], contextlib.AbstractContextManager[Arm]] | None = None
-
-    @property
-    def payload_kg(self) -> float:
-        """Mass of all payloads."""
-        return sum(each.mass_kg for each in self.disturbances if isinstance(each, Payload))
-
-    @property
-    def pushes(self) -> list[Push]:
-        """All pushes."""
-        return [each for each in self.disturbances if isinstance(each, Push)]
 
     def arm(self, seed: int) -> contextlib.AbstractContextManager[Arm]:
         """Return a new arm; the seed draws its friction and torque sensor gains."""

@@ -11,7 +11,7 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution.recording import PHASES, Execution
 from deltasafe.geometry import Pose
 from deltasafe.interchange.frames import WORLD
-from deltasafe.interchange.mcap_log import NS_PER_S, LogWriter, read_log, stamp
+from deltasafe.interchange.mcap_log import NS_PER_S, open_log, read_log, stamp
 from deltasafe.interchange.scenes import quaternion, upright, vector, write_scene_topics
 from deltasafe.planning.body import ToolBody
 from deltasafe.scene import LoggedScene
@@ -36,7 +36,7 @@ def export_execution(execution: Execution, destination: str | pathlib.Path, scen
         DataError: the scene's image is neither JPEG nor PNG.
         SettingsError: the destination does not end in .mcap, or the package mcap is not installed.
     """
-    with LogWriter(destination) as log:
+    with open_log(destination) as log:
         if scene is not None:
             write_scene_topics(log, scene)
         for topic, schema, time_ns, message in _messages(execution):

@@ -6,16 +6,15 @@ import dataclasses
 import importlib.util
 import json
 import pathlib
-from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.interchange.schemas import SCHEMAS
 from deltasafe.io.arrays import UNREADABLE
 from deltasafe.io.storage import atomic_file, parse_json
 
-__all__ = ["NS_PER_S", "LogContent", "LogWriter", "read_log", "stamp", "time_ns_of"]
+__all__ = ["NS_PER_S", "LogContent", "LogWriter", "open_log", "read_log", "stamp", "time_ns_of"]
 
 LIBRARY = "deltasafe"
 NS_PER_S = 1_000_000_000
@@ -39,47 +38,34 @@ def time_ns_of(path: pathlib.Path, topic: str, message: Mapping[str, Any]) -> in
     return int(parts[0] * NS_PER_S + parts[1])
 
 
-class LogWriter:
-    """Writes a file that appears atomically at the end of the block. Equal content gives equal bytes.
-
-    Args:
-        destination: the file.
+@contextlib.contextmanager
+def open_log(destination: str | pathlib.Path) -> Iterator["LogWriter"]:
+    """Write a log that appears atomically at the end of the block. Equal content gives equal bytes.
 
     Raises:
         SettingsError: the file does not end in .mcap, or the package mcap is not installed.
         WriteError: no room, or no permission.
     """
+    _require_mcap()
+    from mcap.writer import Writer
 
-    def __init__(self, destination: str | pathlib.Path) -> None:
-        _require_mcap()
-        if pathlib.Path(destination).suffix.lower() != ".mcap":
-            raise SettingsError(f"a log must end in .mcap, got {pathlib.Path(destination).name}")
-        self._whole = contextlib.ExitStack()
-        self._destination = destination
+    if pathlib.Path(destination).suffix.lower() != ".mcap":
+        raise SettingsError(f"a log must end in .mcap, got {pathlib.Path(destination).name}")
+    with atomic_file(destination) as temporary, temporary.open("wb") as stream:
+        # the checksums of chunks do not cover attachments and metadata
+        writer = Writer(stream, enable_data_crcs=True)
+        writer.start(profile="", library=LIBRARY)
+        yield LogWriter(writer)
+        writer.finish()
+
+
+class LogWriter:
+    """Writes messages, facts and attachments to the log that `open_log` opened."""
+
+    def __init__(self, writer: Any) -> None:
+        self._writer = writer
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-
-    def __enter__(self) -> Self:
-        from mcap.writer import Writer
-
-        temporary = self._whole.enter_context(atomic_file(self._destination))
-        stream = self._whole.enter_context(temporary.open("wb"))
-        # the checksums of chunks do not cover attachments and metadata
-        self._writer = Writer(stream, enable_data_crcs=True)
-        self._whole.push(self._finish)
-        self._writer.start(profile="", library=LIBRARY)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._whole.__exit__(kind, error, trace)
-
-    def _finish(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self._writer.finish()
 
     def write_message(self, topic: str, schema: str, time_ns: int, message: Mapping[str, Any]) -> None:
         """Write a message of one of ``SCHEMAS`` with its ``timestamp``."""

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
 from deltasafe.interchange.frames import WORLD, Frames, frame_of, pose_of, same_pose
-from deltasafe.interchange.mcap_log import LogContent, LogWriter, read_log, stamp, time_ns_of
+from deltasafe.interchange.mcap_log import LogContent, LogWriter, open_log, read_log, stamp, time_ns_of
 from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.perception.data.labeled_images import read_mask, read_rgb
 from deltasafe.scene import LoggedScene
@@ -35,7 +35,7 @@ def export_scene(scene: LoggedScene, destination: str | pathlib.Path) -> None:
         DataError: the image is neither JPEG nor PNG, or a file cannot be read.
         SettingsError: the destination does not end in .mcap, or the package mcap is not installed.
     """
-    with LogWriter(destination) as log:
+    with open_log(destination) as log:
         write_scene_topics(log, scene)
         log.attach(MASK, "image/png", scene.mask_path.read_bytes())
         log.attach(MESH, "application/x-npz", scene.mesh_path.read_bytes())

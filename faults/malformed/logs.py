@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 from deltasafe.interchange import export_scene, import_scene
-from deltasafe.interchange.mcap_log import LogWriter, read_log
+from deltasafe.interchange.mcap_log import open_log, read_log
 from deltasafe.interchange.scenes import CALIBRATION, FACTS, GOAL, IMAGE, MASK, MESH, START, TRANSFORM
 from deltasafe.interchange.schemas import SCHEMAS
 from deltasafe.scene import LoggedScene
@@ -71,7 +71,7 @@ def _said(change: Telling) -> Change:
         facts, attachments = copy.deepcopy(whole.facts), dict(whole.attachments)
         change(messages, facts, attachments)
         path.unlink()
-        with LogWriter(path) as log:
+        with open_log(path) as log:
             for topic, message in messages.items():
                 log.write_message(topic, SCHEMA[topic], 0, message)
             for name, fact in facts.items():

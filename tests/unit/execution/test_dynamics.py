@@ -4,6 +4,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution import Workcell
@@ -11,6 +12,7 @@ from deltasafe.execution.chain_model import ChainModel
 from deltasafe.execution.dynamics import forward_kinematics, rigid_body_dynamics
 from deltasafe.execution.iiwa import World
 from deltasafe.execution.kinematics import ArmMount, IiwaKinematics
+from tests.unit.execution.closed_form import tool_pose
 from tests.unit.execution.conftest import BODY
 
 PENDULUM = """<robot name="pendulum">
@@ -49,10 +51,10 @@ def test_mass_matrix_and_bias_agree_with_pybullet(world):
 
 def test_forward_kinematics_agree_with_the_closed_form(world):
     for q, _ in states(30):
-        position, (x, y, z, w) = forward_kinematics(world.model, q)
-        np.testing.assert_allclose(position, KINEMATICS.tool_position_m(q[None])[0], atol=1e-9)
-        shaft = [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)]
-        np.testing.assert_allclose(shaft, KINEMATICS.forward(q[None])[3][0, :, 2], atol=1e-9)
+        position, quaternion = forward_kinematics(world.model, q)
+        expected, rotation = tool_pose(q)
+        np.testing.assert_allclose(position, expected, atol=1e-9)
+        np.testing.assert_allclose(Rotation.from_quat(quaternion).as_matrix(), rotation, atol=1e-9)
 
 
 def test_jacobian_and_bias_acceleration_agree_with_differences_of_the_closed_form(world):
@@ -61,10 +63,9 @@ def test_jacobian_and_bias_acceleration_agree_with_differences_of_the_closed_for
         model = rigid_body_dynamics(world.model, q, q_dot)
         ahead, behind = q + h * q_dot, q - h * q_dot
         twist = model.jacobian @ q_dot
-        moved = KINEMATICS.tool_position_m(np.array([ahead, behind]))
-        np.testing.assert_allclose(twist[:3], (moved[0] - moved[1]) / (2 * h), atol=1e-7)
-        turned = KINEMATICS.forward(np.array([ahead, behind]))[3]
-        spin = (turned[0] - turned[1]) / (2 * h) @ KINEMATICS.forward(q[None])[3][0].T
+        (p_ahead, r_ahead), (p_behind, r_behind) = tool_pose(ahead), tool_pose(behind)
+        np.testing.assert_allclose(twist[:3], (p_ahead - p_behind) / (2 * h), atol=1e-7)
+        spin = (r_ahead - r_behind) / (2 * h) @ tool_pose(q)[1].T
         np.testing.assert_allclose(twist[3:], [spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-7)
         jacobians = [rigid_body_dynamics(world.model, at, q_dot).jacobian for at in (ahead, behind)]
         change = (jacobians[0] - jacobians[1]) @ q_dot / (2 * h)
@@ -76,8 +77,8 @@ def test_every_column_of_the_jacobian_agrees_with_differences(world):
     for q, _ in states(5):
         jacobian = rigid_body_dynamics(world.model, q, np.zeros(7)).jacobian
         for joint, step in enumerate(h * np.eye(7)):
-            moved = KINEMATICS.tool_position_m(np.array([q + step, q - step]))
-            np.testing.assert_allclose(jacobian[:3, joint], (moved[0] - moved[1]) / (2 * h), atol=1e-8)
+            moved = tool_pose(q + step)[0] - tool_pose(q - step)[0]
+            np.testing.assert_allclose(jacobian[:3, joint], moved / (2 * h), atol=1e-8)
 
 
 def test_the_mount_keeps_manipulability_over_the_working_area(world):

@@ -10,6 +10,7 @@ from deltasafe.execution.iiwa_view import ArmView, Viewpoint
 from deltasafe.execution.kinematics import IIWA14_LIMITS
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene.camera import Camera
+from tests.unit.execution.closed_form import tool_pose
 from tests.unit.execution.conftest import BODY, quintic
 
 SETTINGS = ExecutionSettings(approach_m=0.02, settle_s=0.2)
@@ -31,7 +32,7 @@ def test_kinematics_agree_with_the_simulator():
             frame = arm._bullet.getLinkState(arm._arm, 7, computeForwardKinematics=1, physicsClientId=arm._client)
             np.testing.assert_allclose(state.tool_position_m, frame[4], atol=1e-6)
             np.testing.assert_allclose(abs(state.tool_quaternion @ frame[5]), 1.0, atol=1e-6)
-            np.testing.assert_allclose(arm.kinematics.tool_position_m(q[None])[0], frame[4], atol=1e-6)
+            np.testing.assert_allclose(tool_pose(q)[0], frame[4], atol=1e-6)
 
 
 def test_the_model_predicts_the_simulator_without_friction():

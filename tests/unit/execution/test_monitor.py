@@ -14,8 +14,6 @@ from deltasafe.execution import (
     CameraWatch,
     ExecutionSettings,
     MonitorLimits,
-    Payload,
-    Push,
     Workcell,
     execute,
 )
@@ -35,14 +33,15 @@ from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene import OccupancyGrid, Sphere, grid_from_shapes
 from deltasafe.scene.image_stamp import ImageStamp
 from tests.unit.execution.conftest import BODY, quintic
+from tests.unit.execution.disturbed_arm import Push, disturbed
 from tests.unit.execution.floating_tool import FloatingTool
 
 SETTINGS = ExecutionSettings(approach_m=0.02, settle_s=0.1)
 ABOVE = quintic((-0.06, 0, 0.12, 0), (0.06, 0.03, 0.12, 0.8), 1.2)
 
 
-def run(hand, *disturbances, seed=3, **options):
-    return execute(ABOVE, Workcell(BODY, hand, 0.0, disturbances), SETTINGS, seed, **options)
+def run(hand, push=None, payload_kg=0.0, seed=3, **options):
+    return execute(ABOVE, disturbed(BODY, hand, push, payload_kg), SETTINGS, seed, **options)
 
 
 def run_with(arm, hand, settings=SETTINGS, **limits):
@@ -87,7 +86,7 @@ def test_a_light_push_is_tolerated(hand):
 
 
 def test_an_unknown_payload_stops_the_arm_and_the_brakes_hold_it(hand):
-    loaded = run(hand, Payload(3.0))
+    loaded = run(hand, payload_kg=3.0)
     assert "workspace error" in loaded.stop_reason
     assert stopped_at_s(loaded) <= 0.2
     heights = loaded.tool_positions_m[:, 2]
@@ -105,10 +104,9 @@ def test_lost_clearance_stops_the_arm_within_its_tracking_bound():
     straight = quintic((-0.06, 0, 0.07, 0), (0.06, 0, 0.07, 0), 1.2)
     bound, push = TrackingBound(0.02, 0.0), Push((0.0, 40.0, 0.0), 0.9, 0.4, 8)
 
-    def go(p_occupied, *disturbances):
+    def go(p_occupied, push=None):
         field = DistanceField.build(OccupancyGrid(p_occupied, np.array([-0.2, -0.12, 0.0]), 0.002), 0.05)
-        cell = Workcell(BODY, disturbances=disturbances)
-        return execute(straight, cell, SETTINGS, 3, limits=MonitorLimits(bound, field=field))
+        return execute(straight, disturbed(BODY, push=push), SETTINGS, 3, limits=MonitorLimits(bound, field=field))
 
     assert go(free, push).completed
     assert go(walled).completed
@@ -365,13 +363,8 @@ def test_the_same_seed_gives_the_same_digest_in_three_processes(hand):
     assert digests == {digest(hand)}
 
 
-def test_disturbances_are_validated():
+def test_invalid_settings_are_refused():
     for wrong in (
-        lambda: Push((1.0, 0.0), 0.0, 1.0),
-        lambda: Push((1.0, 0.0, 0.0), -1.0, 1.0),
-        lambda: Push((1.0, 0.0, 0.0), 0.0, 0.0),
-        lambda: Push((1.0, 0.0, 0.0), 0.0, 1.0, 9),
-        lambda: Payload(0.0),
         lambda: ImageStamp("abc"),
         lambda: ExecutionSettings(brake_delay_s=-1),
         lambda: ExecutionSettings(max_frame_age_s=0),

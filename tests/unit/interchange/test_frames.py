@@ -16,7 +16,7 @@ from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
 from deltasafe.interchange import export_scene, import_scene
 from deltasafe.interchange.frames import SAME_M
-from deltasafe.interchange.mcap_log import LogWriter, read_log
+from deltasafe.interchange.mcap_log import open_log, read_log
 from deltasafe.interchange.scenes import MAX_TILT_RAD, quaternion, upright, vector, yaw_about_z
 from deltasafe.scene import LoggedScene
 
@@ -50,7 +50,7 @@ class Log:
 
     def load(self):
         self.path.unlink()
-        with LogWriter(self.path) as log:
+        with open_log(self.path) as log:
             for topic, messages in self.messages.items():
                 for time_s, message in messages:
                     log.write_message(topic, SCHEMA[topic], round(time_s * SECOND), message)

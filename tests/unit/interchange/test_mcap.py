@@ -13,7 +13,7 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution import Execution
 from deltasafe.execution.recording import PHASES
 from deltasafe.interchange import export_execution, export_scene, import_execution, import_scene
-from deltasafe.interchange.mcap_log import LogWriter, read_log
+from deltasafe.interchange.mcap_log import open_log, read_log
 from deltasafe.planning import ToolBody
 from deltasafe.scene import LoggedScene
 
@@ -88,7 +88,7 @@ def test_an_imported_execution_is_identical_and_exports_are_reproducible(tmp_pat
 def test_an_altered_execution_is_refused(tmp_path, execution, topic, change):
     export_execution(execution, tmp_path / "run.mcap")
     whole = read_log(tmp_path / "run.mcap")
-    with LogWriter(tmp_path / "other.mcap") as log:
+    with open_log(tmp_path / "other.mcap") as log:
         for name, messages in whole.messages.items():
             for n, message in enumerate(messages):
                 changed = change if name == topic and n == len(messages[:4]) - 1 else {}
@@ -211,7 +211,7 @@ def test_a_log_without_an_index_is_read(tmp_path, options, use_chunking):
 
 @needs_mcap
 def test_messages_are_sorted_by_time(tmp_path):
-    with LogWriter(tmp_path / "log.mcap") as log:
+    with open_log(tmp_path / "log.mcap") as log:
         for time_ns in (5, 2, 9, 2):
             log.write_message("/task/goal", "foxglove.PoseInFrame", time_ns, {"frame_id": "world"})
     assert [one["timestamp"]["nsec"] for one in read_log(tmp_path / "log.mcap").messages_on("/task/goal")] == [
@@ -224,7 +224,7 @@ def test_messages_are_sorted_by_time(tmp_path):
 
 @needs_mcap
 def test_a_failed_export_leaves_no_file(tmp_path):
-    with pytest.raises(RuntimeError, match="interrupted"), LogWriter(tmp_path / "log.mcap") as log:
+    with pytest.raises(RuntimeError, match="interrupted"), open_log(tmp_path / "log.mcap") as log:
         log.write_message("/tool/pose", "foxglove.PoseInFrame", 0, {"frame_id": "world"})
         raise RuntimeError("interrupted")
     assert list(tmp_path.iterdir()) == []
