@@ -103,34 +103,16 @@ class LogContent:
     attachments: dict[str, bytes]
 
     def messages_on(self, topic: str) -> list[dict[str, Any]]:
-        """Return the messages on a topic, at least one.
-
-        Raises:
-            DataError: there is none; names the topics of the log.
-        """
-        if topic not in self.messages:
-            raise DataError(self.path, f"has no messages on {topic}, only on {sorted(self.messages)}; export it again")
-        return self.messages[topic]
+        """Return the messages on a topic, at least one; raise DataError if there is none."""
+        return self._required(self.messages, "messages on", topic)
 
     def facts_named(self, name: str) -> dict[str, Any]:
-        """Return the facts of a metadata record.
-
-        Raises:
-            DataError: there is no such record.
-        """
-        if name not in self.facts:
-            raise DataError(self.path, f"has no metadata {name}; it was not written by deltasafe export")
-        return self.facts[name]
+        """Return the facts of a metadata record; raise DataError if there is none."""
+        return self._required(self.facts, "metadata", name)
 
     def attachment(self, name: str) -> bytes:
-        """Return an attached file.
-
-        Raises:
-            DataError: there is no such attachment.
-        """
-        if name not in self.attachments:
-            raise DataError(self.path, f"has no attachment {name}, only {sorted(self.attachments)}; export it again")
-        return self.attachments[name]
+        """Return an attached file; raise DataError if there is none."""
+        return self._required(self.attachments, "attachment", name)
 
     def image(self, topic: str) -> tuple[bytes, str]:
         """Return the first image on a topic as the bytes of a file, and its format."""
@@ -139,6 +121,11 @@ class LogContent:
             return base64.b64decode(message["data"], validate=True), str(message["format"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(self.path, f"{topic} holds no compressed image ({error!r}); export it again") from error
+
+    def _required(self, found: dict[str, Any], kind: str, name: str) -> Any:
+        if name not in found:
+            raise DataError(self.path, f"has no {kind} {name}, only {sorted(found)}; write it with deltasafe export")
+        return found[name]
 
 
 def read_log(path: str | pathlib.Path) -> LogContent:

@@ -12,18 +12,8 @@ from deltasafe.errors import SettingsError
 from deltasafe.execution.recording import Execution
 from deltasafe.geometry import yaw_of
 from deltasafe.planning import PlannedMotion
-from deltasafe.reporting.over_image import (
-    CLEAR,
-    INK,
-    LIMIT,
-    SIGNAL,
-    draw_level,
-    draw_speed,
-    finish_image,
-    finish_plots,
-    image_and_plots,
-    mark_ends,
-)
+from deltasafe.reporting import over_image
+from deltasafe.reporting.over_image import CLEAR, INK, LIMIT, SIGNAL
 from deltasafe.reporting.panels import save
 from deltasafe.scene import Camera
 from deltasafe.trials.motion_figure import body_outlines
@@ -58,7 +48,7 @@ def executed_over_image(
     Raises:
         SettingsError: images and camera differ in size, or the motion has no trajectory.
     """
-    figure, image, axes = image_and_plots(rgb, p_occupied_image, camera)
+    figure, image, axes = over_image.image_and_plots(rgb, p_occupied_image, camera)
     if motion.profile is None:
         raise SettingsError(f"there is no motion to draw: {motion.reason}")
     speed = _speed_mps(execution)
@@ -95,11 +85,13 @@ def _draw_image(
     speed: Array,
 ) -> None:
     judged = execution.judged
-    level = draw_level(ax, p_occupied_image, motion.settings.delta)
+    level = over_image.draw_level(ax, p_occupied_image, motion.settings.delta)
     planned, _ = camera.project(execution.reference_poses[judged, :3])
     executed, _ = camera.project(execution.tool_positions_m[judged])
     ax.plot(*planned.T, color="white", lw=5.0, solid_capstyle="round")
-    draw_speed(figure, ax, executed, speed[judged], motion.settings.v_max_mps, "executed speed", linewidths=3.0)
+    over_image.draw_speed(
+        figure, ax, executed, speed[judged], motion.settings.v_max_mps, "executed speed", linewidths=3.0
+    )
     closest = int(np.argmin(np.where(judged, execution.tool_to_hand_m, np.inf)))
     pose = np.append(execution.tool_positions_m[closest], yaw_of(execution.tool_quaternions[closest]))
     edge, _ = camera.project(body_outlines(pose[None], execution.body)[0])
@@ -109,9 +101,9 @@ def _draw_image(
     handles = [
         level,
         Line2D([], [], color=INK, lw=1.4, label=f"tool at its closest pose, {nearest_mm:.1f} mm"),
-        *mark_ends(ax, planned),
+        *over_image.mark_ends(ax, planned),
     ]
-    finish_image(ax, handles, camera)
+    over_image.finish_image(ax, handles, camera)
     if execution.stop_reason:
         ax.set_title(f"stopped by the monitor: {execution.stop_reason}", color=LIMIT, fontsize=9, loc="left")
 
@@ -133,4 +125,4 @@ def _draw_limits(axes: list[Axes], motion: PlannedMotion, execution: Execution, 
     fast.plot(planned_mm, 1000 * profile.speed_mps, color=INK, lw=1.0, ls=":", label="scheduled")
     fast.plot(arc_mm, 1000 * speed[judged], color=SIGNAL, lw=1.6, label="executed")
     fast.set(ylabel="speed [mm/s]", xlabel="arc length of the path [mm]", ylim=(0, 1080 * settings.v_max_mps))
-    finish_plots(axes)
+    over_image.finish_plots(axes)

@@ -9,18 +9,8 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from deltasafe.planning import PlannedMotion, ToolBody
-from deltasafe.reporting.over_image import (
-    CLEAR,
-    INK,
-    LIMIT,
-    SIGNAL,
-    draw_level,
-    draw_speed,
-    finish_image,
-    finish_plots,
-    image_and_plots,
-    mark_ends,
-)
+from deltasafe.reporting import over_image
+from deltasafe.reporting.over_image import CLEAR, INK, LIMIT, SIGNAL
 from deltasafe.reporting.panels import save
 from deltasafe.scene import Camera
 
@@ -54,7 +44,7 @@ def plan_over_image(
     Raises:
         SettingsError: images and camera differ in size.
     """
-    figure, image, axes = image_and_plots(rgb, p_occupied_image, camera)
+    figure, image, axes = over_image.image_and_plots(rgb, p_occupied_image, camera)
     _draw_image(figure, image, p_occupied_image, camera, motion)
     if motion.profile is None:
         for ax in axes:
@@ -74,7 +64,7 @@ def _draw_image(
     overlay[..., :3] = (0.82, 0.29, 0.36)
     overlay[..., 3] = 0.45 * p_occupied_image
     ax.imshow(overlay, extent=(0.0, camera.width, camera.height, 0.0))
-    handles = [draw_level(ax, p_occupied_image, motion.settings.delta)]
+    handles = [over_image.draw_level(ax, p_occupied_image, motion.settings.delta)]
     path = motion.result.path
     if path is not None:
         shown = motion.profile.poses if motion.profile is not None else path.poses
@@ -86,12 +76,12 @@ def _draw_image(
         ax.plot(*uv.T, color="white", lw=5.0, solid_capstyle="round")
         if motion.profile is not None:
             most_mps, style = motion.settings.v_max_mps, {"linewidths": 3.2, "capstyle": "round"}
-            draw_speed(figure, ax, uv, motion.profile.speed_mps, most_mps, "speed along the path", **style)
+            over_image.draw_speed(figure, ax, uv, motion.profile.speed_mps, most_mps, "speed along the path", **style)
         else:
             ax.plot(*uv.T, color=LIMIT, lw=2.0, ls="--")
-        handles += mark_ends(ax, uv)
+        handles += over_image.mark_ends(ax, uv)
         handles.append(Line2D([], [], color=INK, lw=1.0, label="outline of the tool"))
-    finish_image(ax, handles, camera)
+    over_image.finish_image(ax, handles, camera)
 
 
 def _draw_profile(axes: list[Axes], motion: PlannedMotion, table_z_m: float) -> None:
@@ -113,7 +103,7 @@ def _draw_profile(axes: list[Axes], motion: PlannedMotion, table_z_m: float) -> 
     speed.plot(arc_mm, 1000 * profile.speed_mps, color=SIGNAL, lw=1.8, label="scheduled speed")
     speed.axhline(1000 * settings.v_min_mps, color=INK, lw=0.8, ls=":", label="smallest allowed speed")
     speed.set(ylabel="speed [mm/s]", xlabel="arc length of the path [mm]", ylim=(0, 1080 * settings.v_max_mps))
-    finish_plots(axes)
+    over_image.finish_plots(axes)
     duration = motion.trajectory.duration_s if motion.trajectory is not None else 0.0
     height.set_title(
         f"{duration:.1f} s for {arc_mm[-1]:.0f} mm, least clearance {1000 * profile.clearance_m.min():.1f} mm",

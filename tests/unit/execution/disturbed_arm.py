@@ -21,22 +21,22 @@ class DisturbedArm(IiwaArm):
 
     def __init__(self, cell, seed, push=None, payload_kg=0.0):
         super().__init__(cell, seed)
-        self._disturbance, self._time_s = push, 0.0
+        self._disturbance, self._steps = push, 0
         if payload_kg > 0:
             link_kg = self._bullet.getDynamicsInfo(self._arm, 6, physicsClientId=self._client)[0]
             self._bullet.changeDynamics(self._arm, 6, mass=link_kg + payload_kg, physicsClientId=self._client)
 
     def reset(self, joint_positions_rad):
         super().reset(joint_positions_rad)
-        self._time_s = 0.0
+        self._steps = 0
 
     def step(self, torques_nm):
-        push, p = self._disturbance, self._bullet
-        if push is not None and push.start_s <= self._time_s < push.start_s + push.duration_s:
+        push, p, time_s = self._disturbance, self._bullet, self._steps * self.control_period_s
+        if push is not None and push.start_s <= time_s < push.start_s + push.duration_s:
             link = push.link - 1
             center = p.getLinkState(self._arm, link, physicsClientId=self._client)[0]
             p.applyExternalForce(self._arm, link, push.force_n, center, p.WORLD_FRAME, physicsClientId=self._client)
-        self._time_s += self.control_period_s
+        self._steps += 1
         return super().step(torques_nm)
 
 
