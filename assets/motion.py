@@ -12,6 +12,7 @@ from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture, readable, report_with_summary
 from assets.run_settings import planning_delta
 from deltasafe import presets
+from deltasafe.compute.executor import Executor
 
 PRESET = presets.active()
 _asset = functools.partial(dg.asset, group_name="motion", owners=["team:motion"], code_version="1")
@@ -146,24 +147,25 @@ def executed_motions(
     occupancy_fields: pathlib.Path,
     planned_motions: pathlib.Path,
     store: dg.ResourceParam[Store],
+    executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
     """Recordings of all planned motions on the simulated iiwa with impedance control, next to the true hand.
 
     Made from planned_motions. Motions that were not executed are listed with the reason.
     """
     from deltasafe.trials.executions import execute_scenes
+    from deltasafe.trials.motions import PlannedScenes
     from deltasafe.trials.selection import load_selection
 
     folder = store.folder("executed_motions", context.run_id[:8])
     outcomes = execute_scenes(
-        load_selection(logged_scenes),
-        occupancy_fields,
-        planned_motions,
+        PlannedScenes(load_selection(logged_scenes), occupancy_fields, planned_motions),
         folder,
         config.execution.settings(),
         config.first_seed,
-        workers=config.workers,
-        progress=progress_of(context, every_s=2.0),
+        config.workers,
+        executor,
+        progress_of(context, every_s=2.0),
     )
     executed = sum(outcome.executed for outcome in outcomes)
     reasons = {outcome.scene_id: outcome.reason for outcome in outcomes if not outcome.executed}
@@ -191,14 +193,13 @@ def safety_report(
 
     Made from executed_motions. The checks executions_were_safe and tracking_kept_its_bound decide on its figures.
     """
+    from deltasafe.trials.motions import PlannedScenes
     from deltasafe.trials.selection import load_selection
     from deltasafe.trials.write_safety_report import write_safety_report
 
     folder = store.folder("safety_report", context.run_id[:8])
     report = write_safety_report(
-        load_selection(logged_scenes),
-        occupancy_fields,
-        planned_motions,
+        PlannedScenes(load_selection(logged_scenes), occupancy_fields, planned_motions),
         executed_motions,
         folder,
         n_films=config.n_films,

@@ -8,7 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deltasafe.errors import DeltasafeError
+    from deltasafe.errors import ArtifactError, DeltasafeError
     from deltasafe.geometry import Pose
     from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
     from deltasafe.planning import MotionSettings, PlannedMotion, ToolBody, plan_motion, verify_motion
@@ -16,18 +16,22 @@ if TYPE_CHECKING:
         Camera,
         Cuboid,
         FieldSettings,
+        ImageStamp,
         LoggedScene,
         OccupancyGrid,
         Sphere,
         grid_from_image,
         grid_from_shapes,
     )
+    from deltasafe.trials.motion_figure import plan_over_image
 
 __all__ = [
+    "ArtifactError",
     "Camera",
     "Cuboid",
     "DeltasafeError",
     "FieldSettings",
+    "ImageStamp",
     "LoggedScene",
     "MotionSettings",
     "OccupancyGrid",
@@ -40,13 +44,14 @@ __all__ = [
     "grid_from_shapes",
     "load_ensemble",
     "plan_motion",
+    "plan_over_image",
     "verify_motion",
 ]
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "deltasafe.errors": ["DeltasafeError"],
+    "deltasafe.errors": ["ArtifactError", "DeltasafeError"],
     "deltasafe.geometry": ["Pose"],
     "deltasafe.perception.artifact.frozen_ensemble": ["load_ensemble"],
     "deltasafe.planning": ["MotionSettings", "PlannedMotion", "ToolBody", "plan_motion", "verify_motion"],
@@ -54,12 +59,14 @@ _HOMES = {
         "Camera",
         "Cuboid",
         "FieldSettings",
+        "ImageStamp",
         "LoggedScene",
         "OccupancyGrid",
         "Sphere",
         "grid_from_image",
         "grid_from_shapes",
     ],
+    "deltasafe.trials.motion_figure": ["plan_over_image"],
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -1,4 +1,4 @@
-"""From labeled images to a frozen ensemble, without Dagster.
+"""Train, evaluate and freeze an ensemble from labeled images, without Dagster.
 
 python train_an_ensemble.py TRAIN TEST OUT     # folders with images/ and masks/; about half an hour on two cores
 """
@@ -10,7 +10,7 @@ from deltasafe import DeltasafeError, perception
 
 
 def main(train_folder: str, test_folder: str, out: str, quick: bool = False) -> pathlib.Path:
-    """Train, evaluate and freeze; ``quick`` only shows that every step runs."""
+    """Write a frozen ensemble to a folder of ``out``; ``quick`` only tests that every step runs."""
     folder = pathlib.Path(out)
     train = perception.LabeledImageSet.load(train_folder)
     test = perception.LabeledImageSet.load(test_folder)
@@ -24,7 +24,7 @@ def main(train_folder: str, test_folder: str, out: str, quick: bool = False) -> 
     report = perception.evaluate_ensemble(members, test, folder / "report")
     print(f"mIoU {report.figures()['miou']:.3f}; pictures and figures in {folder / 'report' / 'report.md'}")
     for failure in perception.gate(report, perception.GateThresholds()):
-        print(f"not good enough to be used: {failure}")
+        print(f"the gate refuses this ensemble: {failure}")
     golden_image, _ = train.read(0)
     frozen = perception.freeze_ensemble(members, folder / "report", golden_image, folder)
     p_occupied = perception.load_ensemble(frozen).p_occupied(golden_image)
@@ -33,9 +33,9 @@ def main(train_folder: str, test_folder: str, out: str, quick: bool = False) -> 
 
 
 if __name__ == "__main__":
-    try:
-        main(*sys.argv[1:4])
-    except TypeError:
+    if len(sys.argv) != 4:
         sys.exit(__doc__)
+    try:
+        main(*sys.argv[1:])
     except DeltasafeError as error:
         sys.exit(f"train_an_ensemble: {error}")

@@ -1,4 +1,4 @@
-"""The ensemble from its folder, with onnxruntime and numpy alone: verified, then asked.
+"""Predict with a frozen ensemble from its folder, with onnxruntime and numpy, without deltasafe.
 
 python with_onnxruntime.py ENSEMBLE IMAGE [-o p_occupied.npy]
 """
@@ -17,27 +17,27 @@ from PIL import Image, ImageOps
 
 
 class ArtifactError(Exception):
-    """The folder is not an intact ensemble; the message names the file."""
+    """The folder is not an intact ensemble. The message names the file."""
 
 
 def verified(folder: pathlib.Path) -> dict[str, Any]:
-    """The manifest, once every file has the SHA-256 that it states, and the folder the name that follows from it."""
+    """Verify the SHA-256 of every file and the name of the folder; return the manifest."""
     if not (folder / "manifest.json").is_file():
         raise ArtifactError(f"{folder}: is not the folder of a frozen ensemble (manifest.json is missing)")
     content = (folder / "manifest.json").read_bytes()
     if folder.resolve().name != f"ensemble-{hashlib.sha256(content).hexdigest()[:16]}":
-        raise ArtifactError(f"{folder / 'manifest.json'}: was altered, or the folder was renamed; pull it again")
+        raise ArtifactError(f"{folder / 'manifest.json'}: was altered, or the folder was renamed; download it again")
     manifest: dict[str, Any] = json.loads(content)
     for name, digest in manifest["files"].items():
         if not (folder / name).is_file():
-            raise ArtifactError(f"{folder / name}: is missing; pull the ensemble again")
+            raise ArtifactError(f"{folder / name}: is missing; download the ensemble again")
         if hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest:
-            raise ArtifactError(f"{folder / name}: was altered (its SHA-256 differs); pull the ensemble again")
+            raise ArtifactError(f"{folder / name}: was altered (its SHA-256 differs); download the ensemble again")
     return manifest
 
 
 class HandEnsemble:
-    """p_occupied of an image, from `ensemble.onnx`."""
+    """Predicts p_occupied with `ensemble.onnx`."""
 
     def __init__(self, folder: pathlib.Path) -> None:
         manifest = verified(folder)
@@ -49,31 +49,33 @@ class HandEnsemble:
         with np.load(folder / "golden.npz", allow_pickle=False) as golden:
             self.golden_difference = np.abs(self.p_occupied(golden["rgb"]) - golden["p_occupied"]).max()
         if not self.golden_difference <= 1e-4:
-            raise ArtifactError(f"{folder}: this machine answers the golden image by {self.golden_difference:.2g} off")
+            raise ArtifactError(
+                f"{folder}: p_occupied of the golden image is off by {self.golden_difference:.2g} on this machine"
+            )
 
     def p_occupied(self, rgb: np.ndarray) -> np.ndarray:
-        """uint8 (H, W, 3) -> float32 (H, W): mean over the members at the image's size, then the temperature."""
+        """Predict (H, W) float32 for uint8 (H, W, 3): mean over members at the image's size, then temperature."""
         height, width = rgb.shape[:2]
         scale = math.sqrt(self.inference["height"] * self.inference["width"] / (height * width))
         h, w = (max(2, round(side * scale / 16)) * 16 for side in (height, width))
         weights = area if h * w < height * width else bilinear
         small = np.einsum("yY,YXc,xX->yxc", weights(height, h), rgb.astype(float), weights(width, w), optimize=True)
-        seen = np.rint(small).astype(np.uint8)
-        logits = self.program.run(["member_logits"], {"rgb": seen[None]})[0][0]  # (M, h, w)
+        scaled = np.rint(small).astype(np.uint8)
+        logits = self.program.run(["member_logits"], {"rgb": scaled[None]})[0][0]  # (M, h, w)
         full = bilinear(h, height) @ logits @ bilinear(w, width).T
         mean = sigmoid(full).mean(axis=0).clip(1e-7, 1 - 1e-7)
         return sigmoid(np.log(mean / (1 - mean)) / self.temperature).astype(np.float32)
 
 
 def area(size: int, target: int) -> np.ndarray:
-    """(target, size): each new pixel is the mean over the part of the line that it covers."""
+    """Weights (target, size) that average the pixels covered by each new pixel."""
     edge, pixel = np.arange(target + 1) * size / target, np.arange(size)
     covered = np.minimum(edge[1:, None], pixel + 1) - np.maximum(edge[:-1, None], pixel)
     return covered.clip(0) * target / size
 
 
 def bilinear(size: int, target: int) -> np.ndarray:
-    """(target, size): each new pixel lies between two old ones, by the distance of their centers."""
+    """Weights (target, size) that interpolate linearly between pixel centers."""
     center = ((np.arange(target) + 0.5) * size / target - 0.5).clip(0, size - 1)
     return (1 - np.abs(center[:, None] - np.arange(size))).clip(0)
 
@@ -84,7 +86,7 @@ def sigmoid(x: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("ensemble", type=pathlib.Path, help="folder ensemble-..., as it was frozen")
+    parser.add_argument("ensemble", type=pathlib.Path, help="folder ensemble-... of the frozen ensemble")
     parser.add_argument("image", type=pathlib.Path, help="PNG or JPEG of any size")
     parser.add_argument("-o", "--output", default="p_occupied.npy", help="(H, W) float32 (default: %(default)s)")
     options = parser.parse_args()
@@ -94,7 +96,7 @@ def main() -> None:
         p_occupied = ensemble.p_occupied(np.asarray(ImageOps.exif_transpose(picture).convert("RGB")))
 
     np.save(options.output, p_occupied)
-    print(f"{options.ensemble.name}: intact, golden image answered within {ensemble.golden_difference:.0e}")
+    print(f"{options.ensemble.name}: intact, golden image reproduced within {ensemble.golden_difference:.0e}")
     print(f"p_occupied > 0.05 on {(p_occupied > 0.05).mean():.1%} of {options.image}")
 
 

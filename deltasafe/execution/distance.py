@@ -1,17 +1,18 @@
-"""Distance from the tool to a triangle mesh, exact to a tenth of a millimeter, and from points to the mesh.
+"""Distance from the tool, or from points, to a triangle mesh, accurate to 0.1 mm.
 
-The tool is two convex solids, an elliptic and a circular cylinder, and so is each triangle. Whatever triangle a
-bounding sphere cannot rule out is met by alternating projections between the two convex sets (Cheney and Goldstein
-1959), which close in on their distance from above.
+The tool consists of two convex solids, an elliptic and a circular cylinder; a triangle is convex too. Triangles whose
+bounding sphere is near enough are tested by alternating projections between the two convex sets (Cheney and Goldstein
+1959), which converge to the distance from above.
 """
 
 import itertools
 import math
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import as_rows
 from deltasafe.planning.body import ToolBody
@@ -20,10 +21,32 @@ __all__ = ["MeshDistance"]
 
 Array = NDArray[np.float64]
 
-_PROJECTIONS = 400
+_MAX_PROJECTIONS = 400
 _CELL_M = 0.015
-_CELLS_IN_BLOCK = 4
+_CELLS_PER_BLOCK = 4
 _TOUCHING_M = 1e-5
+
+
+class _SphereTree(NamedTuple):
+    """F triangles, in spatial cells, in blocks of cells; each with a bounding sphere.
+
+    Attributes:
+        corners: (F, 3, 3), in the order of the cells; centers: (F, 3); radii: (F,).
+        cell_starts: (C + 1,) cell c holds the triangles from ``cell_starts[c]``; cell_centers: (C, 3);
+            cell_radii: (C,).
+        block_starts: (B + 1,) block b holds the cells from ``block_starts[b]``; block_centers: (B, 3);
+            block_radii: (B,).
+    """
+
+    corners: Array
+    centers: Array
+    radii: Array
+    cell_starts: NDArray[np.int64]
+    cell_centers: Array
+    cell_radii: Array
+    block_starts: NDArray[np.int64]
+    block_centers: Array
+    block_radii: Array
 
 
 class MeshDistance:
@@ -34,7 +57,7 @@ class MeshDistance:
         triangles: (F, 3) indices.
 
     Raises:
-        SettingsError: shapes or indices that are no mesh.
+        SettingsError: wrong shapes, a vertex that is not finite, or an index without a vertex.
     """
 
     def __init__(self, vertices_m: NDArray[np.floating], triangles: NDArray[np.integer]) -> None:
@@ -47,41 +70,38 @@ class MeshDistance:
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise SettingsError(f"triangles index vertices 0 to {faces.max()}, there are {len(vertices)}")
         corners = vertices[faces]
-        # triangles in cells and cells in blocks, each inside a sphere, so that many are ruled out at once
-        middles = corners.mean(axis=1)
-        block = np.floor(middles / (_CELLS_IN_BLOCK * _CELL_M))
-        keys, cell = np.unique(np.hstack([block, np.floor(middles / _CELL_M)]), axis=0, return_inverse=True)
+        centers = corners.mean(axis=1)
+        block = np.floor(centers / (_CELLS_PER_BLOCK * _CELL_M))
+        keys, cell = np.unique(np.hstack([block, np.floor(centers / _CELL_M)]), axis=0, return_inverse=True)
         corners = np.ascontiguousarray(corners[np.argsort(cell.ravel(), kind="stable")])
         centers = corners.mean(axis=1)
         radii = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
         starts = np.concatenate([[0], np.cumsum(np.bincount(cell.ravel()))])
         _, cells_of_block = np.unique(keys[:, :3], axis=0, return_counts=True)
         cells = np.concatenate([[0], np.cumsum(cells_of_block)])
-        self._mesh = (corners, centers, radii, starts, *_spheres(corners, starts), cells)
-        self._blocks = _spheres(corners, starts[cells])
-        self._lowest, self._highest = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        in_cells, in_blocks = _bounding_spheres(corners, starts), _bounding_spheres(corners, starts[cells])
+        self._tree = _SphereTree(corners, centers, radii, starts, *in_cells, cells, *in_blocks)
+        self._box = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
     def to_points(self, points_m: Array, at_most_m: float = math.inf) -> float:
-        """Distance in meters from the nearest of (P, 3) points to the mesh; infinite without points.
+        """Return the distance in meters from the nearest of (P, 3) points to the mesh; infinite without points.
 
         Args:
-            at_most_m: what it surely does not exceed; nothing farther away is looked at.
+            at_most_m: a known upper bound, which prunes the search.
 
         Raises:
             SettingsError: a point is not finite, or farther than 1000 m from 0.
         """
-        points = as_rows(points_m, 3, "points_m")
-        box = (self._lowest, self._highest)
-        return float(_points_distance(points, *box, *self._mesh, *self._blocks, at_most_m))
+        return float(_points_distance(as_rows(points_m, 3, "points_m"), self._box, self._tree, at_most_m))
 
     def to_tool(self, body: ToolBody, position_m: Array, rotation: Array, at_most_m: float = math.inf) -> float:
-        """Distance in meters from the tool at a pose to the mesh's surface, 0 where they touch or cross.
+        """Return the distance in meters from the tool to the mesh's surface, 0 where they touch or intersect.
 
         Args:
             body: the tool.
             position_m: (3,) center of the disc.
             rotation: (3, 3) world from tool.
-            at_most_m: what it surely does not exceed; nothing farther away is looked at.
+            at_most_m: a known upper bound, which prunes the search.
 
         Raises:
             SettingsError: the pose has another shape, is not finite, or farther than 1000 m from 0.
@@ -94,80 +114,81 @@ class MeshDistance:
         shaft = (body.shaft_radius_m, body.shaft_radius_m, 0.0, body.shaft_length_m)
         best = at_most_m
         for solid in (disc, shaft):
-            best = _solid_distance(np.array(solid), *self._mesh, *self._blocks, position_m, rotation, best)
+            best = _solid_distance(np.array(solid), self._tree, position_m, rotation, best)
         return best if best > _TOUCHING_M else 0.0
 
 
-def _spheres(corners: Array, starts: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Centers (n, 3) and radii (n,) of spheres around triangles ``starts[n]`` up to ``starts[n + 1]``."""
+def _bounding_spheres(corners: Array, starts: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Centers (n, 3) and radii (n,) of spheres around the triangles from ``starts[n]`` up to ``starts[n + 1]``."""
     parts = [corners[begin:end].reshape(-1, 3) for begin, end in itertools.pairwise(starts)]
-    hubs = np.array([part.mean(axis=0) for part in parts])
-    return hubs, np.array([np.linalg.norm(part - hub, axis=1).max() for part, hub in zip(parts, hubs, strict=True)])
+    centers = np.array([part.mean(axis=0) for part in parts])
+    radii = [np.linalg.norm(part - center, axis=1).max() for part, center in zip(parts, centers, strict=True)]
+    return centers, np.array(radii)
 
 
-@numba.njit(cache=True)
-def _points_distance(  # type: ignore[no-untyped-def]  # pragma: no cover
-    points, lowest, highest, corners, centers, radii, starts, hubs, spans, cells, tops, reaches, best
-):
+@compiled
+def _points_distance(points, box, tree, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Smallest of ``best`` and the distances of (P, 3) points to the triangles."""
     for i in range(len(points)):
         p = (points[i, 0], points[i, 1], points[i, 2])
-        if _to_box(p, lowest, highest) >= best:
+        if _to_box(p, box[0], box[1]) >= best:
             continue
-        for block in range(len(tops)):
-            if _gap(p, tops[block]) - reaches[block] >= best:
+        for block in range(len(tree.block_centers)):
+            if _gap(p, tree.block_centers[block]) - tree.block_radii[block] >= best:
                 continue
-            for h in range(cells[block], cells[block + 1]):
-                if _gap(p, hubs[h]) - spans[h] >= best:
+            for cell in range(tree.block_starts[block], tree.block_starts[block + 1]):
+                if _gap(p, tree.cell_centers[cell]) - tree.cell_radii[cell] >= best:
                     continue
-                for t in range(starts[h], starts[h + 1]):
-                    if _gap(p, centers[t]) - radii[t] < best:
-                        best = min(best, _gap(p, _on_triangle(p, corners[t])))
+                for t in range(tree.cell_starts[cell], tree.cell_starts[cell + 1]):
+                    if _gap(p, tree.centers[t]) - tree.radii[t] < best:
+                        best = min(best, _gap(p, _on_triangle(p, tree.corners[t])))
     return best
 
 
-@numba.njit(cache=True)
-def _solid_distance(  # type: ignore[no-untyped-def]  # pragma: no cover
-    solid, corners, centers, radii, starts, hubs, spans, cells, tops, reaches, position, rotation, best
-):
-    """Smallest of ``best`` and the distance of an upright elliptic cylinder (a, b, bottom, top) to triangles."""
-    bounds = np.empty(len(tops))
-    for block in range(len(tops)):
-        bounds[block] = _to_solid(solid, tops[block], position, rotation) - reaches[block]
+@compiled
+def _solid_distance(solid, tree, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Smallest of ``best`` and the distance of an upright elliptic cylinder (a, b, bottom, top) to the triangles."""
+    bounds = np.empty(len(tree.block_centers))
+    for block in range(len(bounds)):
+        bounds[block] = _to_solid(solid, tree.block_centers[block], position, rotation) - tree.block_radii[block]
     for block in np.argsort(bounds):
         if bounds[block] >= best:
             break
-        for h in range(cells[block], cells[block + 1]):
-            if _to_solid(solid, hubs[h], position, rotation) - spans[h] >= best:
+        for cell in range(tree.block_starts[block], tree.block_starts[block + 1]):
+            if _to_solid(solid, tree.cell_centers[cell], position, rotation) - tree.cell_radii[cell] >= best:
                 continue
-            for i in range(starts[h], starts[h + 1]):
-                best = _to_triangle(solid, corners[i], centers[i], radii[i], position, rotation, best)
+            for t in range(tree.cell_starts[cell], tree.cell_starts[cell + 1]):
+                triangle = tree.corners[t], tree.centers[t], tree.radii[t]
+                best = _to_triangle(solid, triangle, position, rotation, best)
     return best
 
 
-@numba.njit(cache=True)
+@compiled
 def _to_solid(solid, point, position, rotation):  # type: ignore[no-untyped-def]  # pragma: no cover
     x, y, z = _to_frame(point, position, rotation)
     return _gap(_in_solid(x, y, z, solid[0], solid[1], solid[2], solid[3]), (x, y, z))
 
 
-@numba.njit(cache=True)
-def _to_triangle(solid, corners, center, radius, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+@compiled
+def _to_triangle(solid, triangle, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Smallest of ``best`` and the distance of the cylinder to one triangle (corners, center, radius)."""
+    corners, center, radius = triangle
     a, b, bottom, top = solid
     x, y, z = _to_frame(center, position, rotation)
-    flat = max(math.sqrt(x * x + y * y) - max(a, b), 0.0)
-    high = max(z - top, bottom - z, 0.0)
-    if math.sqrt(flat * flat + high * high) - radius >= best:
+    radial = max(math.sqrt(x * x + y * y) - max(a, b), 0.0)
+    vertical = max(z - top, bottom - z, 0.0)
+    if math.sqrt(radial * radial + vertical * vertical) - radius >= best:  # cheaper than the test below
         return best
     if _gap(_in_solid(x, y, z, a, b, bottom, top), (x, y, z)) - radius >= best:
         return best
-    triangle = np.empty((3, 3))
+    local = np.empty((3, 3))
     for corner in range(3):
-        triangle[corner] = _to_frame(corners[corner], position, rotation)
+        local[corner] = _to_frame(corners[corner], position, rotation)
     last = np.inf
     gap = np.inf
-    for _ in range(_PROJECTIONS):
+    for _ in range(_MAX_PROJECTIONS):
         inside = _in_solid(x, y, z, a, b, bottom, top)
-        x, y, z = _on_triangle(inside, triangle)
+        x, y, z = _on_triangle(inside, local)
         gap = _gap(inside, (x, y, z))
         if gap < _TOUCHING_M or last - gap < 1e-8:
             break
@@ -175,7 +196,7 @@ def _to_triangle(solid, corners, center, radius, position, rotation, best):  # t
     return min(best, gap)
 
 
-@numba.njit(cache=True)
+@compiled
 def _to_box(p, lowest, highest):  # type: ignore[no-untyped-def]  # pragma: no cover
     x = max(lowest[0] - p[0], p[0] - highest[0], 0.0)
     y = max(lowest[1] - p[1], p[1] - highest[1], 0.0)
@@ -183,7 +204,7 @@ def _to_box(p, lowest, highest):  # type: ignore[no-untyped-def]  # pragma: no c
     return math.sqrt(x * x + y * y + z * z)
 
 
-@numba.njit(cache=True)
+@compiled
 def _to_frame(point, position, rotation):  # type: ignore[no-untyped-def]  # pragma: no cover
     x, y, z = point[0] - position[0], point[1] - position[1], point[2] - position[2]
     return (
@@ -193,18 +214,18 @@ def _to_frame(point, position, rotation):  # type: ignore[no-untyped-def]  # pra
     )
 
 
-@numba.njit(cache=True)
+@compiled
 def _gap(p, q):  # type: ignore[no-untyped-def]  # pragma: no cover
     return math.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)
 
 
-@numba.njit(cache=True)
+@compiled
 def _in_solid(x, y, z, a, b, bottom, top):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Nearest point of the filled elliptic cylinder."""
+    """Nearest point of the solid elliptic cylinder."""
     z = min(max(z, bottom), top)
     if (x / a) ** 2 + (y / b) ** 2 <= 1.0:
         return x, y, z
-    # the multiplier t solves (a x / (t + a^2))^2 + (b y / (t + b^2))^2 = 1, convex and falling: Newton from the left
+    # Newton from the left on (a x / (t + a^2))^2 + (b y / (t + b^2))^2 = 1, convex and decreasing in the multiplier t
     t = max(a * abs(x) - a * a, b * abs(y) - b * b, 0.0)
     for _ in range(50):
         p, q = a * x / (t + a * a), b * y / (t + b * b)
@@ -215,7 +236,7 @@ def _in_solid(x, y, z, a, b, bottom, top):  # type: ignore[no-untyped-def]  # pr
     return a * a * x / (t + a * a), b * b * y / (t + b * b), z
 
 
-@numba.njit(cache=True)
+@compiled
 def _on_triangle(p, t):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Nearest point of a triangle, by the region of the plane that p projects to (Ericson 2004, section 5.1.5)."""
     ab0, ab1, ab2 = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]

@@ -1,20 +1,18 @@
-"""A film of an execution from its recorded joint positions: an oblique view beside the logged camera's."""
+"""Film of an execution from its recorded joint positions: an oblique view beside the view of the logged camera."""
 
-import dataclasses
-import math
 import pathlib
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import SettingsError
+from deltasafe.execution.iiwa_view import ArmView, Viewpoint
 from deltasafe.execution.recording import PHASES, Execution
+from deltasafe.execution.workcell import Mesh, Workcell
 from deltasafe.io.storage import atomic_file
 from deltasafe.scene.camera import Camera
 
-__all__ = ["FilmSettings", "film_frames", "save_film"]
+__all__ = ["save_film"]
 
 Array = NDArray[np.float64]
 
@@ -23,107 +21,75 @@ _CUT_ABOVE_TABLE_M = 0.24
 _REFERENCE_RGB, _TRACE_RGB = (150, 150, 160), (20, 110, 220)
 _TEXT_RGB, _BAR_RGB = (235, 235, 235), (32, 34, 38)
 _BAR_PX = 26
-
-
-@dataclasses.dataclass(frozen=True)
-class FilmSettings:
-    """Size and length of a film.
-
-    Attributes:
-        seconds: length of the film; the motion is shown as much faster or slower as that needs.
-        frames_per_second: of the film.
-        view_width: pixels of each of the two views.
-    """
-
-    seconds: float = 7.0
-    frames_per_second: int = 10
-    view_width: int = 400
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.seconds) and 0 < self.seconds <= 60):
-            raise SettingsError(f"seconds must lie in (0, 60], got {self.seconds}")
-        if not 1 <= self.frames_per_second <= 50:
-            raise SettingsError(f"frames_per_second must lie in 1 to 50, got {self.frames_per_second}")
-        if not 64 <= self.view_width <= 1920:
-            raise SettingsError(f"view_width must lie in 64 to 1920 pixels, got {self.view_width}")
-
-
-def film_frames(
-    execution: Execution,
-    camera: Camera,
-    mesh: tuple[NDArray[Any], NDArray[Any]],
-    settings: FilmSettings,
-    *,
-    table_z_m: float = 0.0,
-    progress: Progress = silent,
-) -> list[NDArray[np.uint8]]:
-    """Frames (H, W, 3) uint8: reference in gray, executed path in blue, a line of text below."""
-    from deltasafe.execution.iiwa_view import ArmView, Viewpoint
-
-    # the arm passes where the camera hung: its links are cut away, or they would hide what it looks at
-    near_m = float(camera.position_m[2]) - table_z_m - _CUT_ABOVE_TABLE_M
-    camera_view = Viewpoint.of_camera(camera, settings.view_width, max(near_m, 0.01))
-    oblique = Viewpoint.looking_at(np.array(_EYE_M), np.array(_TARGET_M), settings.view_width, camera_view.height)
-    count = max(2, round(settings.seconds * settings.frames_per_second))
-    samples = np.round(np.linspace(0, len(execution.time_s) - 1, count)).astype(int)
-    speed_up = float(execution.time_s[-1] / settings.seconds)
-    frames = []
-    with ArmView(execution.body, mesh, table_z_m) as view:
-        for number, sample in enumerate(samples):
-            pictures = [
-                _with_paths(view.render(execution.joint_positions_rad[sample], seen), execution, sample, seen)
-                for seen in (oblique, camera_view)
-            ]
-            frames.append(_captioned(np.concatenate(pictures, axis=1), execution, sample, speed_up))
-            progress(number + 1, count, "film")
-    return frames
+_FRAMES_PER_S = 10
 
 
 def save_film(
     destination: str | pathlib.Path,
     execution: Execution,
     camera: Camera,
-    mesh: tuple[NDArray[Any], NDArray[Any]],
-    settings: FilmSettings | None = None,
+    mesh: Mesh,
     *,
     table_z_m: float = 0.0,
-    progress: Progress = silent,
+    seconds: float = 7.0,
+    view_width: int = 400,
 ) -> None:
-    """Write the film as an animated GIF, atomically.
+    """Write a film of ``seconds`` as an animated GIF, atomically; both views are ``view_width`` pixels wide.
 
     Raises:
         SettingsError: the destination does not end in .gif.
     """
     from PIL import GifImagePlugin, Image
 
-    settings = settings or FilmSettings()
     destination = pathlib.Path(destination)
     if destination.suffix.lower() != ".gif":
-        raise SettingsError(f"a film is an animated GIF; name it so, not {destination.name}")
-    frames = film_frames(execution, camera, mesh, settings, table_z_m=table_z_m, progress=progress)
+        raise SettingsError(f"a film is an animated GIF and must end in .gif, got {destination.name}")
+    frames = _frames(execution, camera, Workcell(execution.body, mesh, table_z_m), seconds, view_width)
     middle = np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]])
     palette = Image.fromarray(middle).quantize(128, dither=Image.Dither.NONE)
-    pictures = [Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
+    images = [Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
     with atomic_file(destination) as temporary:
-        pictures[0].save(
+        images[0].save(
             temporary,
             format=GifImagePlugin.GifImageFile.format,
             save_all=True,
-            append_images=pictures[1:],
-            duration=round(1000 / settings.frames_per_second),
+            append_images=images[1:],
+            duration=round(1000 / _FRAMES_PER_S),
             loop=0,
             optimize=False,
         )
 
 
-def _with_paths(picture: NDArray[np.uint8], execution: Execution, sample: int, seen: Any) -> NDArray[np.uint8]:
+def _frames(
+    execution: Execution, camera: Camera, cell: Workcell, seconds: float, view_width: int
+) -> list[NDArray[np.uint8]]:
+    """Frames (H, W, 3) uint8: reference in gray, executed path in blue, a line of text below."""
+    # the near plane of the camera's view cuts the links away: the arm passes between the camera and the table
+    near_m = float(camera.position_m[2]) - cell.table_z_m - _CUT_ABOVE_TABLE_M
+    camera_view = Viewpoint.of_camera(camera, view_width, max(near_m, 0.01))
+    oblique = Viewpoint.looking_at(np.array(_EYE_M), np.array(_TARGET_M), view_width, camera_view.height)
+    count = max(2, round(seconds * _FRAMES_PER_S))
+    samples = np.round(np.linspace(0, len(execution.time_s) - 1, count)).astype(int)
+    speed_up = float(execution.time_s[-1] / seconds)
+    frames = []
+    with ArmView(cell) as arm:
+        for sample in samples:
+            views = [
+                _with_paths(arm.render(execution.joint_positions_rad[sample], view), execution, sample, view)
+                for view in (oblique, camera_view)
+            ]
+            frames.append(_captioned(np.concatenate(views, axis=1), execution, sample, speed_up))
+    return frames
+
+
+def _with_paths(rgb: NDArray[np.uint8], execution: Execution, sample: int, view: Viewpoint) -> NDArray[np.uint8]:
     from PIL import Image, ImageDraw
 
-    image = Image.fromarray(picture)
+    image = Image.fromarray(rgb)
     draw = ImageDraw.Draw(image)
     judged = execution.judged
-    reference = seen.pixels(execution.reference_poses[judged, :3])
-    done = seen.pixels(execution.tool_positions_m[: sample + 1][judged[: sample + 1]])
+    reference = view.pixels(execution.reference_poses[judged, :3])
+    done = view.pixels(execution.tool_positions_m[: sample + 1][judged[: sample + 1]])
     for path, color, width in ((reference, _REFERENCE_RGB, 1), (done, _TRACE_RGB, 2)):
         points = [tuple(point) for point in path[np.isfinite(path).all(axis=1)]]
         if len(points) > 1:
@@ -131,12 +97,12 @@ def _with_paths(picture: NDArray[np.uint8], execution: Execution, sample: int, s
     return np.asarray(image)
 
 
-def _captioned(picture: NDArray[np.uint8], execution: Execution, sample: int, speed_up: float) -> NDArray[np.uint8]:
+def _captioned(rgb: NDArray[np.uint8], execution: Execution, sample: int, speed_up: float) -> NDArray[np.uint8]:
     from PIL import Image, ImageDraw, ImageFont
 
-    height, width = picture.shape[:2]
+    height, width = rgb.shape[:2]
     image = Image.new("RGB", (width, height + _BAR_PX), _BAR_RGB)
-    image.paste(Image.fromarray(picture))
+    image.paste(Image.fromarray(rgb))
     distance = execution.tool_to_hand_m[sample] * 1e3
     text = (
         f"{execution.time_s[sample]:5.1f} s (x{speed_up:.1f})   {PHASES[execution.phase[sample]]:<8}   "

@@ -1,4 +1,4 @@
-"""PyBullet's description of the iiwa 14 with the real arm's limits, and the planner's tool as an eighth link."""
+"""URDF of the iiwa 14: PyBullet's model with the real arm's limits, and the planner's tool as an eighth link."""
 
 import math
 import pathlib
@@ -9,19 +9,19 @@ import numpy as np
 from deltasafe.execution.kinematics import IIWA14_LIMITS
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["LINK_RGBA", "TOOL_RGBA", "add_payload", "iiwa_with_tool"]
+__all__ = ["iiwa_with_tool"]
 
 FLANGE_IN_LINK_7_M = 0.045
 TOOL_DENSITY_KGPM3 = 1200.0  # printed plastic
-PAYLOAD_RADIUS_M = 0.04
 TOOL_RGBA = (0.05, 0.50, 0.42, 1.0)
 LINK_RGBA = (0.82, 0.83, 0.85, 1.0)
 
 
 def iiwa_with_tool(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> ET.Element:
-    """The URDF of the arm, meshes absolute; that of the disc is written to ``folder``.
+    """Return the URDF of arm and tool with absolute paths of meshes.
 
     Args:
+        folder: gets the mesh of the disc.
         kuka: PyBullet's folder of the arm's model.
     """
     robot = ET.parse(kuka / "model.urdf").getroot()
@@ -39,6 +39,18 @@ def iiwa_with_tool(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> 
         limit.set("velocity", repr(IIWA14_LIMITS.velocity_radps[index]))
     disc = folder / "disc.obj"
     disc.write_text(_elliptic_cylinder(body), encoding="utf-8")
+    robot.append(ET.fromstring(f'<link name="tool">{_tool_inertia(body)}{_tool_shapes(body, disc)}</link>'))
+    robot.append(
+        ET.fromstring(
+            '<joint name="tool_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="tool"/>'
+            f'<origin xyz="0 0 {FLANGE_IN_LINK_7_M + body.shaft_length_m!r}" rpy="{math.pi!r} 0 0"/></joint>'
+        )
+    )
+    return robot
+
+
+def _tool_inertia(body: ToolBody) -> str:
+    """Disc and shaft of one density, shaft from the upper face of the disc."""
     half = body.thickness_m / 2
     shaft_m = body.shaft_length_m - half
     shaft_kg = TOOL_DENSITY_KGPM3 * math.pi * body.shaft_radius_m**2 * shaft_m
@@ -51,50 +63,28 @@ def iiwa_with_tool(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> 
         + disc_kg * body.rho_max_m**2 / 4
     )
     about = (shaft_kg * body.shaft_radius_m**2) / 2 + disc_kg * (body.semi_axis_x_m**2 + body.semi_axis_y_m**2) / 4
+    return (
+        f'<inertial><origin xyz="0 0 {height!r}"/><mass value="{mass!r}"/>'
+        f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{about!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def _tool_shapes(body: ToolBody, disc: pathlib.Path) -> str:
+    half = body.thickness_m / 2
+    shaft_m = body.shaft_length_m - half
+    paint = f'<material name="Tool"><color rgba="{" ".join(map(str, TOOL_RGBA))}"/></material>'
     shapes = ""
-    for kind in ("visual", "collision"):
-        paint = f'<material name="Tool"><color rgba="{" ".join(map(str, TOOL_RGBA))}"/></material>'
-        paint = paint if kind == "visual" else ""
+    for kind, material in (("visual", paint), ("collision", "")):
         shapes += (
-            f'<{kind}><geometry><mesh filename="{disc}"/></geometry>{paint}</{kind}>'
+            f'<{kind}><geometry><mesh filename="{disc}"/></geometry>{material}</{kind}>'
             f'<{kind}><origin xyz="0 0 {half + shaft_m / 2!r}"/><geometry>'
-            f'<cylinder radius="{body.shaft_radius_m!r}" length="{shaft_m!r}"/></geometry>{paint}</{kind}>'
+            f'<cylinder radius="{body.shaft_radius_m!r}" length="{shaft_m!r}"/></geometry>{material}</{kind}>'
         )
-    robot.append(
-        ET.fromstring(
-            f'<link name="tool"><inertial><origin xyz="0 0 {height!r}"/><mass value="{mass!r}"/>'
-            f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{about!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
-            f"{shapes}</link>"
-        )
-    )
-    robot.append(
-        ET.fromstring(
-            '<joint name="tool_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="tool"/>'
-            f'<origin xyz="0 0 {FLANGE_IN_LINK_7_M + body.shaft_length_m!r}" rpy="{math.pi!r} 0 0"/></joint>'
-        )
-    )
-    return robot
-
-
-def add_payload(robot: ET.Element, mass_kg: float) -> None:
-    """Hang a ball without a surface on the flange."""
-    inertia = repr(0.4 * mass_kg * PAYLOAD_RADIUS_M**2)
-    robot.append(
-        ET.fromstring(
-            f'<link name="payload"><inertial><mass value="{mass_kg!r}"/>'
-            f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        )
-    )
-    robot.append(
-        ET.fromstring(
-            '<joint name="payload_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="payload"/>'
-            f'<origin xyz="0 0 {FLANGE_IN_LINK_7_M!r}"/></joint>'
-        )
-    )
+    return shapes
 
 
 def _elliptic_cylinder(body: ToolBody, corners: int = 64) -> str:
-    """Wavefront text of the disc: a convex prism inscribed in the elliptic cylinder."""
+    """OBJ text of the disc: a convex prism inscribed in the elliptic cylinder."""
     angles = 2 * np.pi * np.arange(corners) / corners
     rim = np.stack([body.semi_axis_x_m * np.cos(angles), body.semi_axis_y_m * np.sin(angles)], axis=1)
     lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for z in (-body.thickness_m / 2, body.thickness_m / 2) for x, y in rim]

@@ -1,14 +1,14 @@
-"""Pictures of the simulated arm by PyBullet's own software renderer: no window, no graphics card."""
+"""Images of the simulated arm from PyBullet's software renderer, which needs neither a window nor a GPU."""
 
 import dataclasses
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.execution.iiwa import TOOL_LINK, World
 from deltasafe.execution.kinematics import ArmMount
-from deltasafe.planning.body import ToolBody
+from deltasafe.execution.workcell import Workcell
 from deltasafe.scene.camera import Camera
 
 __all__ = ["ArmView", "Viewpoint"]
@@ -37,7 +37,7 @@ class Viewpoint:
 
     @classmethod
     def of_camera(cls, camera: Camera, width: int, near_m: float = _NEAR_M) -> Self:
-        """What the logged camera sees, ``width`` pixels wide; what is nearer than ``near_m`` is cut away."""
+        """Return the view of the logged camera, ``width`` pixels wide, with the near plane at ``near_m``."""
         rotation = np.asarray(camera.world_from_camera_rotation, dtype=np.float64)
         axes = rotation @ np.diag([1.0, -1.0, -1.0])
         clip = _perspective(
@@ -48,20 +48,21 @@ class Viewpoint:
             near_m,
         )
         height = round(width * camera.height / camera.width)
-        return cls(width, height, _looking(axes, np.asarray(camera.position_m)), clip)
+        return cls(width, height, _camera_from_world(axes, np.asarray(camera.position_m)), clip)
 
     @classmethod
     def looking_at(cls, eye_m: Array, target_m: Array, width: int, height: int, focal: float = 1.6) -> Self:
-        """From ``eye_m`` towards ``target_m``, upright; ``focal`` is the focal length in half image heights."""
+        """Return an upright view from ``eye_m`` to ``target_m``; ``focal`` is in half image heights."""
         backward = np.asarray(eye_m, dtype=np.float64) - np.asarray(target_m)
         backward /= np.linalg.norm(backward)
         right = np.cross([0.0, 0.0, 1.0], backward)
         right /= np.linalg.norm(right)
         axes = np.stack([right, np.cross(backward, right), backward], axis=1)
-        return cls(width, height, _looking(axes, np.asarray(eye_m)), _perspective(focal * height / width, focal, 0, 0))
+        clip = _perspective(focal * height / width, focal, 0, 0)
+        return cls(width, height, _camera_from_world(axes, np.asarray(eye_m)), clip)
 
     def pixels(self, points_m: Array) -> Array:
-        """(N, 2) image positions of (N, 3) points; NaN behind the camera."""
+        """Project points (N, 3) to pixels (N, 2); NaN behind the camera."""
         points = np.column_stack([points_m, np.ones(len(points_m))])
         clip = points @ (self.clip_from_camera @ self.camera_from_world).T
         depth = np.where(clip[:, 3] > _NEAR_M, clip[:, 3], np.nan)
@@ -72,14 +73,8 @@ class Viewpoint:
 class ArmView:
     """Renders the arm in any posture. Use it as a context manager."""
 
-    def __init__(
-        self,
-        body: ToolBody,
-        mesh: tuple[NDArray[Any], NDArray[Any]] | None,
-        table_z_m: float = 0.0,
-        mount: ArmMount | None = None,
-    ) -> None:
-        self._world = World(body, mount or ArmMount.beside(table_z_m), table_z_m, mesh)
+    def __init__(self, cell: Workcell) -> None:
+        self._world = World(cell, ArmMount.beside(cell.table_z_m))
 
     def __enter__(self) -> Self:
         return self
@@ -88,11 +83,11 @@ class ArmView:
         self._world.close()
 
     def render(self, joint_positions_rad: Array, viewpoint: Viewpoint) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 picture of a posture."""
+        """Return the image (H, W, 3) uint8 of a posture."""
         return self._image(joint_positions_rad, viewpoint)[0]
 
     def links_in_view(self, joint_positions_rad: Array, viewpoint: Viewpoint) -> dict[int, int]:
-        """Pixels that show each link of the arm: 0 the base, 1 to 7 its links; the tool does not count."""
+        """Return the number of pixels of each visible link: 0 the base, 1 to 7 the links, without the tool."""
         labels = self._image(joint_positions_rad, viewpoint)[1]
         labels = labels[labels >= 0]
         links = labels[(labels & 0xFFFFFF) == self._world.arm] >> 24
@@ -117,13 +112,13 @@ class ArmView:
             physicsClientId=self._world.client,
         )
         shape = (viewpoint.height, viewpoint.width)
-        picture = np.reshape(np.asarray(rgba, dtype=np.uint8), (*shape, 4))[:, :, :3].copy()
+        image = np.reshape(np.asarray(rgba, dtype=np.uint8), (*shape, 4))[:, :, :3].copy()
         labels = np.reshape(np.asarray(labels, dtype=np.int32), shape)
-        picture[labels < 0] = _BACKGROUND_RGB
-        return picture, labels
+        image[labels < 0] = _BACKGROUND_RGB
+        return image, labels
 
 
-def _looking(axes: Array, eye_m: Array) -> Array:
+def _camera_from_world(axes: Array, eye_m: Array) -> Array:
     matrix = np.eye(4)
     matrix[:3, :3] = axes.T
     matrix[:3, 3] = -axes.T @ eye_m

@@ -1,39 +1,39 @@
-"""Cartesian impedance control: the tool is held by springs and dampers to a moving reference. Compiled.
+"""Cartesian impedance control: springs and dampers hold the tool to a moving reference. Compiled.
 
     torque = J^T (Λ (a_ref - dJ/dt q') + K e + D e') + bias + N^T torque_posture,
 
-Λ = (J M^-1 J^T)^-1, N^T = 1 - J^T Λ J M^-1 (Khatib 1987), D from K and Λ by the factorisation of Albu-Schäffer
-et al. (2003), so that every direction is damped alike although the inertia differs a thousandfold between pushing the
-arm and turning its flange. Gravity, Coriolis and centrifugal torques are compensated from the model, friction is not:
-what remains of it makes the tracking error.
+with Λ = (J M^-1 J^T)^-1 and N^T = 1 - J^T Λ J M^-1 (Khatib 1987). D follows from K and Λ by the factorization of
+Albu-Schäffer et al. (2003): the damping ratio is the same in every direction, although the inertia differs a
+thousandfold between pushing the arm and turning its flange. Gravity, Coriolis and centrifugal torques are compensated
+by the model. Friction is not compensated; it causes the tracking error.
 """
 
 import dataclasses
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.execution.arm import ArmState, Dynamics
 
-__all__ = ["ImpedanceSettings", "TaskReference", "impedance_torques", "pose_error", "rotation_error"]
+__all__ = ["ImpedanceSettings", "TaskReference", "impedance_torques", "pose_error"]
 
 Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
 class ImpedanceSettings:
-    """Gains.
+    """Gains of the impedance controller.
 
     Attributes:
-        stiffness_npm: spring to the reference position. 5000 N/m is the most that KUKA's own impedance mode allows:
+        stiffness_npm: translational stiffness in N/m. 5000 N/m is the largest that KUKA's own impedance mode allows:
             1 N of uncompensated friction then costs 0.2 mm of the 0.5 mm that the paper grants at 0.01 m/s.
-        rotational_stiffness_nmprad: spring to the reference rotation, KUKA allows 300 N m/rad. The tool turns about
-            its own axis with some 0.002 kg m^2, so 150 N m/rad is already 44 Hz, far enough below the 1 kHz of control.
-        damping_ratio: of all six directions; 0.7 as KUKA's default is well damped and lags less than 1.
-        posture_frequency_radps: how fast the elbow returns to its reference posture, critically damped.
+        rotational_stiffness_nmprad: rotational stiffness in N m/rad; KUKA allows 300. The inertia of the tool about
+            its own axis is about 0.002 kg m^2, so 150 N m/rad gives 44 Hz, far below the control rate of 1 kHz.
+        damping_ratio: in all six directions; 0.7 is KUKA's default, well damped, and lags less than 1.
+        posture_frequency_radps: natural frequency of the elbow's return to its reference posture, critically damped.
     """
 
     stiffness_npm: float = 5000.0
@@ -49,7 +49,7 @@ class ImpedanceSettings:
 
 @dataclasses.dataclass(frozen=True)
 class TaskReference:
-    """Where the tool shall be now.
+    """The reference of the controller at one instant.
 
     Attributes:
         position_m: (3,); quaternion: (4,) x, y, z, w.
@@ -68,24 +68,21 @@ class TaskReference:
 def impedance_torques(
     state: ArmState, dynamics: Dynamics, reference: TaskReference, settings: ImpedanceSettings
 ) -> Array:
-    """Joint torques (n,) in N m before saturation.
+    """Return the joint torques (n,) in N m before saturation.
 
     Raises:
-        SettingsError: the torques are not finite: a measurement, the model or the reference is not.
+        SettingsError: the torques are not finite, because a measurement, the model or the reference is not.
         numpy.linalg.LinAlgError: the model is singular.
     """
     torques = np.asarray(
         _torques(
-            state.joint_positions_rad,
-            state.joint_velocities_radps,
+            (state.joint_positions_rad, state.joint_velocities_radps),
             pose_error(reference.position_m, reference.quaternion, state.tool_position_m, state.tool_quaternion),
-            *(dynamics.mass_matrix, dynamics.bias_nm, dynamics.jacobian, dynamics.drift),
-            *(reference.twist, reference.acceleration),
-            *(reference.joint_positions_rad, reference.joint_velocities_radps),
-            settings.stiffness_npm,
-            settings.rotational_stiffness_nmprad,
-            settings.damping_ratio,
-            settings.posture_frequency_radps,
+            dynamics,
+            (reference.twist, reference.acceleration),
+            (reference.joint_positions_rad, reference.joint_velocities_radps),
+            (settings.stiffness_npm, settings.rotational_stiffness_nmprad),
+            (settings.damping_ratio, settings.posture_frequency_radps),
         )
     )
     if not math.isfinite(sum(torques.tolist())):
@@ -93,9 +90,9 @@ def impedance_torques(
     return torques
 
 
-@numba.njit(cache=True)
+@compiled
 def pose_error(position_m, quaternion, measured_m, measured_quaternion):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """(6,) what is missing to the reference: meters, then the rotation vector in rad, world frame."""
+    """Return (6,) reference minus measured pose: meters, then the rotation vector in rad, world frame."""
     error = np.empty(6)
     for i in range(3):
         error[i] = position_m[i] - measured_m[i]
@@ -116,32 +113,34 @@ def pose_error(position_m, quaternion, measured_m, measured_quaternion):  # type
     return error
 
 
-def rotation_error(reference: Array, measured: Array) -> Array:
-    """(3,) rotation vector in rad that turns ``measured`` into ``reference`` (quaternions x, y, z, w), world frame."""
-    nowhere = np.zeros(3)
-    return np.asarray(pose_error(nowhere, np.asarray(reference), nowhere, np.asarray(measured))[3:])
-
-
-@numba.njit(cache=True)
-def _torques(  # type: ignore[no-untyped-def]  # pragma: no cover
-    q, q_dot, error, mass, bias, jacobian, drift, twist, acceleration, q_ref, q_dot_ref, linear, angular, ratio, posture
-):
+@compiled
+def _torques(joints, error, dynamics, task, posture, stiffness, damping):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Each pair holds (position, velocity), (twist, acceleration), (linear, angular) or (ratio, posture frequency)."""
+    q, q_dot = joints
+    twist, acceleration = task
+    q_ref, q_dot_ref = posture
+    linear, angular = stiffness
+    ratio, frequency = damping
+    mass, jacobian = dynamics.mass_matrix, dynamics.jacobian
     n = len(q)
-    spread = np.linalg.solve(mass, jacobian.T)
-    inertia = np.linalg.inv(jacobian @ spread)
+    inverse_mass_jt = np.linalg.solve(mass, jacobian.T)
+    inertia = np.linalg.inv(jacobian @ inverse_mass_jt)
     inertia = (inertia + inertia.T) / 2
     values, vectors = np.linalg.eigh(inertia)
     error_rate = twist - jacobian @ q_dot
-    soft = np.empty(6)
+    root_stiffness = np.empty(6)
     for i in range(6):
-        soft[i] = math.sqrt(linear if i < 3 else angular)
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    # damping D = ratio (root(inertia) root(stiffness) + its transpose)
-    damping = ratio * (root @ (soft * error_rate) + soft * (root @ error_rate))
-    force = inertia @ (acceleration - drift) + soft * soft * error + damping
-    wanted = np.empty(n)
+        root_stiffness[i] = math.sqrt(linear if i < 3 else angular)
+    root_inertia = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    # D = ratio * (root_inertia root_stiffness + its transpose)
+    damping_force = ratio * (
+        root_inertia @ (root_stiffness * error_rate) + root_stiffness * (root_inertia @ error_rate)
+    )
+    spring_force = root_stiffness * root_stiffness * error
+    force = inertia @ (acceleration - dynamics.bias_acceleration) + spring_force + damping_force
+    posture_acceleration = np.empty(n)
     for i in range(n):
-        wanted[i] = posture**2 * (q_ref[i] - q[i]) + 2 * posture * (q_dot_ref[i] - q_dot[i])
-    wanted = mass @ wanted
-    hidden = wanted - jacobian.T @ (inertia @ (spread.T @ wanted))
-    return jacobian.T @ force + bias + hidden
+        posture_acceleration[i] = frequency**2 * (q_ref[i] - q[i]) + 2 * frequency * (q_dot_ref[i] - q_dot[i])
+    posture_torque = mass @ posture_acceleration
+    null_space_torque = posture_torque - jacobian.T @ (inertia @ (inverse_mass_jt.T @ posture_torque))
+    return jacobian.T @ force + dynamics.bias_nm + null_space_torque

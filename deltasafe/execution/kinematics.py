@@ -1,16 +1,15 @@
-"""Kinematics of the LBR iiwa 14 R820 in closed form, pure numpy.
+"""Inverse kinematics of the LBR iiwa 14 R820 in closed form.
 
-The arm is S-R-S: three axes meet in the shoulder, three in the wrist, one bends the elbow. With
-R(q) = Rz(q1) Ry(q2) Rz(q3) Ry(-q4) Rz(q5) Ry(q6) Rz(q7) the inverse is exact, and one parameter, the arm angle of
-the elbow about the line from shoulder to wrist, settles the redundancy. A fixed branch and arm angle make
-joint positions a smooth function of the tool pose, so a continuous path of the tool stays one in the joints.
+The arm is S-R-S: three axes intersect in the shoulder, one axis is the elbow, three intersect in the wrist. With
+R(q) = Rz(q1) Ry(q2) Rz(q3) Ry(-q4) Rz(q5) Ry(q6) Rz(q7) the inverse is exact. The arm angle of the elbow about the
+line from shoulder to wrist resolves the redundancy. For a fixed branch and arm angle the joint positions are a smooth
+function of the tool pose, so a continuous tool path gives a continuous joint path.
 """
 
 import dataclasses
 import itertools
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +25,6 @@ SHOULDER_TO_ELBOW_M = 0.42
 ELBOW_TO_WRIST_M = 0.40
 WRIST_TO_FLANGE_M = 0.126
 
-_AXES = np.array([[0, 0, 1], [0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, 1], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
 _BRANCHES = tuple(itertools.product((1.0, -1.0), repeat=3))  # signs of q2, q4 and q6
 
 
@@ -49,7 +47,7 @@ IIWA14_LIMITS = JointLimits(
 
 @dataclasses.dataclass(frozen=True)
 class ArmMount:
-    """Where the arm stands and how its elbow is held."""
+    """Pose of the arm's base in the world, and the arm angle of its elbow."""
 
     base_x_m: float = 0.0
     base_y_m: float = 0.65
@@ -64,15 +62,25 @@ class ArmMount:
 
     @classmethod
     def beside(cls, table_z_m: float) -> "ArmMount":
-        """The usual place, for a table of that height."""
+        """Return the default mount beside a table of that height."""
         return cls(base_z_m=cls.base_z_m + table_z_m)
+
+    @property
+    def base_m(self) -> Array:
+        """(3,) position of the base in the world."""
+        return np.array([self.base_x_m, self.base_y_m, self.base_z_m])
+
+    @property
+    def base_rotation(self) -> Array:
+        """(3, 3) world from base."""
+        return _rotation_z(np.array(self.base_yaw_rad))
 
 
 class IiwaKinematics:
-    """Forward and inverse kinematics of an iiwa 14 with a straight tool below its flange.
+    """Inverse kinematics of an iiwa 14 with a straight tool below its flange.
 
-    The tool frame sits in the disc's center, z along the shaft to the flange, x along the ellipse's first
-    semi-axis: with the shaft vertical its rotation in the world is Rz(yaw).
+    The origin of the tool frame is the center of the disc, z points along the shaft to the flange, x along the first
+    semi-axis of the ellipse. With a vertical shaft its rotation in the world is Rz(yaw).
     """
 
     def __init__(self, mount: ArmMount, tool_length_m: float) -> None:
@@ -81,39 +89,17 @@ class IiwaKinematics:
         self.mount = mount
         self.tool_length_m = tool_length_m
         self.limits = IIWA14_LIMITS
-        self._base_rotation = _rotation_z(np.array(mount.base_yaw_rad))
-        self._base_m = np.array([mount.base_x_m, mount.base_y_m, mount.base_z_m])
-        self._shoulder_m = self._base_m + np.array([0.0, 0.0, BASE_TO_SHOULDER_M])
-
-    def forward(self, joint_positions_rad: Array) -> tuple[Array, Array, Array, Array]:
-        """Elbow, wrist and flange (N, 3) in meters and rotation (N, 3, 3) of the tool for (N, 7) joints."""
-        q = np.asarray(joint_positions_rad, dtype=np.float64)
-        upper = self._base_rotation @ _rotation_z(q[:, 0]) @ _rotation_y(q[:, 1])
-        lower = upper @ _rotation_z(q[:, 2]) @ _rotation_y(-q[:, 3])
-        hand = lower @ _rotation_z(q[:, 4]) @ _rotation_y(q[:, 5]) @ _rotation_z(q[:, 6])
-        elbow = self._shoulder_m + SHOULDER_TO_ELBOW_M * upper[:, :, 2]
-        wrist = elbow + ELBOW_TO_WRIST_M * lower[:, :, 2]
-        flange = wrist + WRIST_TO_FLANGE_M * hand[:, :, 2]
-        return elbow, wrist, flange, hand @ np.diag([1.0, -1.0, -1.0])
-
-    def tool_position_m(self, joint_positions_rad: Array) -> Array:
-        """(N, 3) center of the disc for (N, 7) joints."""
-        _, _, flange, rotation = self.forward(joint_positions_rad)
-        return np.asarray(flange - self.tool_length_m * rotation[:, :, 2])
-
-    def differential(self, q: Array, q_dot: Array) -> tuple[Array, Array]:
-        """Jacobian J (6, 7) of the tool's twist (linear, then angular) and the acceleration dJ/dt q_dot (6,)."""
-        reach = WRIST_TO_FLANGE_M + self.tool_length_m
-        return _differential(q, q_dot, self._base_rotation, reach)
+        self._base_rotation = mount.base_rotation
+        self._shoulder_m = mount.base_m + np.array([0.0, 0.0, BASE_TO_SHOULDER_M])
 
     def inverse(self, poses: Array) -> Array:
-        """Joint positions (N, 7), continuous along the path, for tool poses (N, 4), shaft vertical.
+        """Return joint positions (N, 7), continuous along the path, for tool poses (N, 4) with a vertical shaft.
 
-        Of the eight branches, and of the half turns of q7 under which the elliptic tool looks the same, the one
-        whose smallest margin to a joint limit is largest serves the whole path.
+        The whole path uses one of the eight branches, and one half turn of q7 (the elliptic tool is symmetric): those
+        with the largest smallest margin to a joint limit.
 
         Raises:
-            PlanningError: a pose is out of reach, or every branch leaves a joint's range; names pose and joint.
+            PlanningError: a pose is out of reach, or every branch exceeds a joint limit; names pose and joint.
             SettingsError: a pose is not finite, or farther than 1000 m or 1000 rad from 0.
         """
         poses = as_rows(poses, 4, "poses")
@@ -124,17 +110,11 @@ class IiwaKinematics:
         if max(margins) < 0:
             sample, joint = np.unravel_index(np.argmax(np.abs(best) / limits), best.shape)
             raise PlanningError(
-                f"the arm cannot take the pose {_say(poses[sample])}: joint {joint + 1} would need "
+                f"the arm cannot take the pose {_text(poses[sample])}: joint {joint + 1} would need "
                 f"{math.degrees(best[sample, joint]):.0f} of +-{math.degrees(limits[joint]):.0f} degrees; "
                 "shorten the turn of the path or move the base of the arm"
             )
         return best
-
-    def manipulability(self, joint_positions_rad: Array) -> Array:
-        """(N,) sqrt(det J J^T) of the tool's Jacobian (Yoshikawa 1985): zero in a singularity."""
-        still = np.zeros(7)
-        jacobians = np.array([self.differential(q, still)[0] for q in np.asarray(joint_positions_rad)])
-        return np.asarray(np.sqrt(np.linalg.det(jacobians @ jacobians.transpose(0, 2, 1))))
 
     def _branch(self, poses: Array, signs: tuple[float, ...]) -> Array:
         """One branch of the inverse for (N, 4) poses: (N, 7), q1, q3, q5, q7 unwrapped."""
@@ -143,23 +123,23 @@ class IiwaKinematics:
         reach = (wrist - self._shoulder_m) @ self._base_rotation
         distance = np.linalg.norm(reach, axis=1)
         a, b = SHOULDER_TO_ELBOW_M, ELBOW_TO_WRIST_M
-        bend = (distance**2 - a**2 - b**2) / (2 * a * b)
-        if (np.abs(bend) > 1).any():
-            sample = int(np.argmax(np.abs(bend)))
+        cos_q4 = (distance**2 - a**2 - b**2) / (2 * a * b)
+        if (np.abs(cos_q4) > 1).any():
+            sample = int(np.argmax(np.abs(cos_q4)))
             raise PlanningError(
-                f"the arm cannot reach the pose {_say(poses[sample])}: its wrist would be "
+                f"the arm cannot reach the pose {_text(poses[sample])}: its wrist would be "
                 f"{distance[sample]:.2f} m from the shoulder, at most {a + b:.2f} m are possible"
             )
-        q4 = sign4 * np.arccos(bend)
-        along = reach / distance[:, None]
-        # arm angle 0: the elbow in the vertical plane through shoulder and wrist, above the line between them
-        side = np.stack([-along[:, 1], along[:, 0], np.zeros(len(along))], axis=1)
+        q4 = sign4 * np.arccos(cos_q4)
+        direction = reach / distance[:, None]
+        # arm angle 0: the elbow lies in the vertical plane through shoulder and wrist, above the line between them
+        side = np.stack([-direction[:, 1], direction[:, 0], np.zeros(len(direction))], axis=1)
         side /= np.linalg.norm(side, axis=1, keepdims=True)
-        above = np.cross(along, side)
+        above = np.cross(direction, side)
         angle = self.mount.arm_angle_rad
-        out = math.cos(angle) * above + math.sin(angle) * side
-        cosine = (a + b * bend) / distance
-        upper = cosine[:, None] * along + np.sqrt(np.clip(1 - cosine**2, 0, 1))[:, None] * out
+        outward = math.cos(angle) * above + math.sin(angle) * side
+        cosine = (a + b * cos_q4) / distance
+        upper = cosine[:, None] * direction + np.sqrt(np.clip(1 - cosine**2, 0, 1))[:, None] * outward
         lower = (reach - a * upper) / b
         q2 = sign2 * np.arccos(np.clip(upper[:, 2], -1, 1))
         q1 = np.arctan2(sign2 * upper[:, 1], sign2 * upper[:, 0])
@@ -188,51 +168,5 @@ def _rotation_y(angle_rad: Array) -> Array:
     return np.moveaxis(np.array([[c, zero, s], [zero, zero + 1, zero], [-s, zero, c]]), (0, 1), (-2, -1))
 
 
-def _say(pose: Array) -> str:
+def _text(pose: Array) -> str:
     return f"({pose[0]:.3f}, {pose[1]:.3f}, {pose[2]:.3f}) m, yaw {pose[3]:.2f} rad"
-
-
-@numba.njit(cache=True)
-def _differential(q: Array, q_dot: Array, base: Array, reach: float) -> tuple[Array, Array]:  # pragma: no cover
-    # along the chain, relative to the shoulder: each axis, its point, and the velocities of both
-    axes, points = np.zeros((7, 3)), np.zeros((7, 3))
-    axis_rates, point_rates = np.zeros((7, 3)), np.zeros((7, 3))
-    rotation = base.copy()
-    point, rate, spin, turning = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    for joint in range(7):
-        axis = rotation @ _AXES[joint]
-        axes[joint], points[joint], point_rates[joint] = axis, point, rate
-        axis_rates[joint] = _cross(spin, axis)
-        turning = turning + axis_rates[joint] * q_dot[joint]
-        spin = spin + axis * q_dot[joint]
-        _, y, z = _AXES[joint]
-        c, s = math.cos(q[joint]), math.sin(q[joint])
-        if z != 0.0:
-            turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        else:
-            turn = np.array([[c, 0.0, y * s], [0.0, 1.0, 0.0], [-y * s, 0.0, c]])
-        rotation = rotation @ turn
-        length = 0.0
-        if joint == 1:
-            length = SHOULDER_TO_ELBOW_M
-        elif joint == 3:
-            length = ELBOW_TO_WRIST_M
-        elif joint == 6:
-            length = reach
-        step = length * rotation[:, 2].copy()
-        point = point + step
-        rate = rate + _cross(spin, step)
-    jacobian, drift = np.zeros((6, 7)), np.zeros(6)
-    for joint in range(7):
-        arm = point - points[joint]
-        jacobian[:3, joint] = _cross(axes[joint], arm)
-        jacobian[3:, joint] = axes[joint]
-        bend = _cross(axis_rates[joint], arm) + _cross(axes[joint], rate - point_rates[joint])
-        drift[:3] += bend * q_dot[joint]
-    drift[3:] = turning
-    return jacobian, drift
-
-
-@numba.njit(cache=True)
-def _cross(a: Array, b: Array) -> Array:  # pragma: no cover
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -1,136 +1,99 @@
-"""What is watched while the arm moves: tracking, joint speeds, clearance in the planned field, the camera's images."""
+"""Monitor of a running motion: tracking error, joint speeds, clearance in the planned field, liveness of the camera."""
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltasafe.errors import SettingsError, StaleImageError
+from deltasafe.errors import SettingsError
 from deltasafe.execution.arm import ArmState, measurement_fault
+from deltasafe.execution.camera_watch import CameraWatch
 from deltasafe.execution.impedance import TaskReference, pose_error
 from deltasafe.execution.kinematics import JointLimits
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.geometry import yaw_of
-from deltasafe.planning import CheckSettings, body_clearance_m, is_segment_safe, segment_test
-from deltasafe.planning.body import ToolBody
-from deltasafe.planning.collision.distance_field import DistanceField
-from deltasafe.planning.tracking_bound import TrackingBound
-from deltasafe.scene.image_stamp import ImageStamp
+from deltasafe.planning import (
+    CheckSettings,
+    DistanceField,
+    MotionSettings,
+    ToolBody,
+    TrackingBound,
+    body_clearance_m,
+    is_segment_safe,
+    segment_test,
+)
 
-__all__ = ["CameraWatch", "Monitor"]
+__all__ = ["Monitor", "MonitorLimits"]
 
-Array = NDArray[np.float64]
-
-_MOST_MARGIN_M = 0.02
-_LOOK_EVERY_S = 0.01
-
-_AHEAD_S = 0.05
-"""By which an image's stamp may lie ahead of the clock: synchronized clocks differ by milliseconds, others by years.
-
-A dead camera is found this much later at most.
-"""
+_MAX_MARGIN_M = 0.02
+_CHECK_EVERY_S = 0.01
+"""Period of the tests of clearance and camera; all others run at every control step."""
 
 
 @dataclasses.dataclass(frozen=True)
-class CameraWatch:
-    """Whether the camera still sees. Its images are compared, not looked at: the hand is taken to hold still.
-
-    A real sensor never delivers the same image twice, its noise differs. An image that repeats the one before it to
-    the last bit is a stale buffer, and so was perhaps the one that the motion was planned from.
-
-    All times are of one clock, the camera's. A stamp more than 0.05 s ahead of it is of another clock (Unix stamps
-    beside a ``starts_s`` of 0, for example): the age of an image would be negative, and never too old. It is refused
-    at the start and stops the motion later, as an old one does.
+class MonitorLimits:
+    """Limits that belong to a motion, not to the execution.
 
     Attributes:
-        newest: the newest image at a time of the camera's clock (s).
-        seen: the image that the motion was planned from.
-        starts_s: the camera's clock when the execution begins.
+        tracking: gamma(v), bound of the workspace error; the default is the paper's line.
+        v_min_mps: gamma is evaluated at no smaller speed, because the paper's line is 0 at rest (decision 13).
+        field: the distance field that the motion was planned in; None: clearance is not monitored.
+        camera: None: the camera is not monitored.
     """
 
-    newest: Callable[[float], ImageStamp]
-    seen: ImageStamp
-    starts_s: float = 0.0
+    tracking: TrackingBound = dataclasses.field(default_factory=TrackingBound)
+    v_min_mps: float = MotionSettings.v_min_mps
+    field: DistanceField | None = None
+    camera: CameraWatch | None = None
 
-    def require_live(self, max_look_age_s: float, max_frame_age_s: float) -> None:
-        """Refuse to start on an old image, on one from the future, or beside a frozen camera.
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.v_min_mps) and self.v_min_mps > 0):
+            raise SettingsError(f"v_min_mps must be positive, got {self.v_min_mps}")
 
-        Raises:
-            StaleImageError: with the remedy.
-        """
-        age_s = self.starts_s - self.seen.taken_s
-        if not age_s >= -_AHEAD_S:  # true for NaN
-            raise StaleImageError(
-                f"the motion was planned from an image that is {-age_s:.2f} s ahead of the clock: taken_s "
-                f"{self.seen.taken_s}, starts_s {self.starts_s}; give both by the camera's clock"
-            )
-        if not age_s <= max_look_age_s:
-            raise StaleImageError(
-                f"the motion was planned from an image {age_s:.1f} s old, {max_look_age_s:g} s are allowed; "
-                "take a new one and plan again"
-            )
-        reason = self.violation(0.0, self.seen, max_frame_age_s)[1]
-        if reason:
-            raise StaleImageError(
-                f"{reason}; restart the camera, take a new image and plan again, all times by the camera's clock"
-            )
-
-    def violation(self, time_s: float, before: ImageStamp, max_frame_age_s: float) -> tuple[ImageStamp, str]:
-        """The newest image at ``time_s`` of the execution, and what is wrong with it after ``before``."""
-        now_s = self.starts_s + time_s
-        try:
-            newest = self.newest(now_s)
-        except SettingsError as error:  # a ImageStamp refuses a stamp that is not finite
-            return before, f"the camera's newest image is unusable: {error}"
-        age_s = now_s - newest.taken_s
-        if not age_s >= -_AHEAD_S:
-            return newest, f"the camera's newest image is {-age_s:.2f} s ahead of the clock"
-        if not age_s <= max_frame_age_s:
-            return newest, f"the camera's newest image is {age_s:.2f} s old"
-        if newest.taken_s != before.taken_s and newest.image_sha256 == before.image_sha256:
-            return newest, "the camera repeats an image to the last bit: it is frozen"
-        return newest, ""
+    @classmethod
+    def of(
+        cls, settings: MotionSettings, field: DistanceField | None = None, camera: CameraWatch | None = None
+    ) -> "MonitorLimits":
+        """Return the limits of a motion with these settings."""
+        return cls(settings.tracking, settings.v_min_mps, field, camera)
 
 
 class Monitor:
-    """Says why the arm must stop, or nothing, at each step of control.
+    """Decides at each control step whether the arm must stop.
 
-    It fails closed: a measurement, target or time that is not finite is a reason to stop, and every comparison is
-    written so that NaN stops.
+    It fails closed: a measurement, target or time that is not finite stops the arm. Comparisons are written so that
+    NaN stops it too.
+
+    Args:
+        joint_limits: of the arm.
+        body: the tool.
     """
 
     def __init__(
-        self,
-        bound: TrackingBound,
-        settings: ExecutionSettings,
-        limits: JointLimits,
-        body: ToolBody,
-        field: DistanceField | None,
-        camera: CameraWatch | None,
+        self, limits: MonitorLimits, settings: ExecutionSettings, joint_limits: JointLimits, body: ToolBody
     ) -> None:
-        self._bound, self._settings, self._body, self._camera = bound, settings, body, camera
-        self._speed_limit = limits.velocity_radps
-        self._margin_m = min(float(bound.error_m(settings.min_speed_mps)), _MOST_MARGIN_M)
-        self._planned = None if field is None else segment_test(field, body, self._margin_m, CheckSettings())
-        self._top_z_m = 0.0 if field is None else float(field.grid.upper_m[2])
-        self._seen = None if camera is None else camera.seen
-        self._look_at_s, self._time_s = 0.0, -math.inf
+        self._limits, self._settings, self._body = limits, settings, body
+        self._speed_limit = joint_limits.velocity_radps
+        self._margin_m = min(float(limits.tracking.error_m(limits.v_min_mps)), _MAX_MARGIN_M)
+        field = limits.field
+        self._test = None if field is None else segment_test(field, body, self._margin_m, CheckSettings())
+        self._field_top_z_m = 0.0 if field is None else float(field.grid.upper_m[2])
+        self._newest_image = None if limits.camera is None else limits.camera.planned_from
+        self._next_check_s, self._time_s = 0.0, -math.inf
 
     def violation(self, time_s: float, state: ArmState, target: TaskReference, is_planned: bool) -> str:
-        """Why the arm must stop.
+        """Return why the arm must stop, or an empty string.
 
         Args:
-            is_planned: whether this is the planned motion; approach and retreat lead through what was not seen.
+            is_planned: whether this is the planned motion. Approach and retreat leave the field that the camera sees.
         """
-        before_s, self._time_s = self._time_s, time_s
-        if not before_s < time_s < math.inf:  # looks at clearance and camera follow this clock
-            return f"the clock of the control went from {before_s} s to {time_s} s"
+        previous_s, self._time_s = self._time_s, time_s
+        if not previous_s < time_s < math.inf:  # the tests of clearance and camera are scheduled by this clock
+            return f"the clock of the control went from {previous_s} s to {time_s} s"
         reason = measurement_fault(state) or self._tracking(state, target) or self._joint_speed(state)
-        if reason or time_s < self._look_at_s:
+        if reason or time_s < self._next_check_s:
             return reason
-        self._look_at_s = time_s + _LOOK_EVERY_S - 1e-9
+        self._next_check_s = time_s + _CHECK_EVERY_S - 1e-9
         return (self._clearance(state, target) if is_planned else "") or self._image(time_s)
 
     def _tracking(self, state: ArmState, target: TaskReference) -> str:
@@ -138,8 +101,9 @@ class Monitor:
             target.position_m, target.quaternion, state.tool_position_m, state.tool_quaternion
         ).tolist()
         error = math.hypot(x, y, z) + self._body.rho_max_m * math.hypot(a, b, c)
-        speed = max(math.hypot(*target.twist[:3].tolist()), self._settings.min_speed_mps)
-        allowed = self._bound.gamma0_m + self._bound.gamma1_s * speed + self._settings.monitor_margin_m
+        speed = max(math.hypot(*target.twist[:3].tolist()), self._limits.v_min_mps)
+        bound = self._limits.tracking
+        allowed = bound.gamma0_m + bound.gamma1_s * speed + self._settings.monitor_margin_m
         if not error <= allowed < math.inf:
             return f"workspace error {error * 1e3:.2f} mm exceeds {allowed * 1e3:.2f} mm at {speed:.3f} m/s"
         return ""
@@ -153,31 +117,34 @@ class Monitor:
         return ""
 
     def _clearance(self, state: ArmState, target: TaskReference) -> str:
-        """The measured tool in the field, by the better of two bounds.
+        """Compare the larger of two lower bounds of the clearance with 0.
 
-        What is known at the measured pose, the field taking it upright: what its tilt moves at most is taken off. What
-        the planner's own test shows at the reference, less the way between: bounds are short of the truth by a part
-        of a voxel, and a motion as close as its tracking bound allows would be stopped for nothing but that.
+        The first is the clearance of an upright tool at the measured pose, less the largest displacement by its tilt.
+        The second holds if the planner's test accepts the target: the margin of that test less the distance to the
+        measured pose. Without it, the voxel size alone would stop motions that are as close as their tracking bound
+        allows.
         """
-        if self._planned is None:
+        if self._test is None:
             return ""
-        lever_m = max(self._body.rho_max_m, self._top_z_m - float(state.tool_position_m[2]))
+        lever_m = max(self._body.rho_max_m, self._field_top_z_m - float(state.tool_position_m[2]))
         x, y, _, _ = state.tool_quaternion.tolist()
-        tilted_m = lever_m * 2 * math.asin(min(1.0, math.hypot(x, y)))
+        tilt_m = lever_m * 2 * math.asin(min(1.0, math.hypot(x, y)))
         pose = np.append(state.tool_position_m, yaw_of(state.tool_quaternion))
-        clearance_m = float(body_clearance_m(self._planned, pose[None])[0]) - tilted_m
+        clearance_m = float(body_clearance_m(self._test, pose[None])[0]) - tilt_m
         if not clearance_m >= 0:
             error = pose_error(target.position_m, target.quaternion, state.tool_position_m, state.tool_quaternion)
-            way_m = math.hypot(*error[:3].tolist()) + lever_m * math.hypot(*error[3:].tolist())
+            error_m = math.hypot(*error[:3].tolist()) + lever_m * math.hypot(*error[3:].tolist())
             pose = np.append(target.position_m, yaw_of(target.quaternion))
-            if is_segment_safe(self._planned, pose, pose):
-                clearance_m = max(clearance_m, self._margin_m - way_m)
+            if is_segment_safe(self._test, pose, pose):
+                clearance_m = max(clearance_m, self._margin_m - error_m)
         if not clearance_m >= 0:
             return f"the tool is {-clearance_m * 1e3:.2f} mm inside what is not known to be free"
         return ""
 
     def _image(self, time_s: float) -> str:
-        if self._camera is None or self._seen is None:
+        if self._limits.camera is None or self._newest_image is None:
             return ""
-        self._seen, reason = self._camera.violation(time_s, self._seen, self._settings.max_frame_age_s)
+        self._newest_image, reason = self._limits.camera.violation(
+            time_s, self._newest_image, self._settings.max_frame_age_s
+        )
         return reason

@@ -1,4 +1,4 @@
-"""What an execution leaves behind: arrays over time, saved and loaded as one folder."""
+"""Recording of an execution: arrays over time, stored as one folder."""
 
 import dataclasses
 import hashlib
@@ -13,10 +13,12 @@ from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["PHASES", "Execution"]
+__all__ = ["PHASES", "UNPLANNED_PHASES", "Execution", "rotation_matrices"]
 
 PHASES = ("approach", "rest", "motion", "settle", "retreat", "stopped")
-"""Down onto the start, rest there, the planned motion, rest at the goal, up again; held by the monitor."""
+"""Down onto the start, rest there, the planned motion, rest at the goal, up again; stopped by the monitor."""
+
+UNPLANNED_PHASES = (PHASES.index("approach"), PHASES.index("retreat"))
 
 _FORMAT = 1
 COLUMNS: dict[str, tuple[type, int | None]] = {
@@ -32,7 +34,7 @@ COLUMNS: dict[str, tuple[type, int | None]] = {
     "arm_to_hand_m": (np.float64, 0),
     "contacts": (np.int32, 0),
 }
-"""Each recorded array: its type and its columns; 0 columns: one value a sample, None: one per joint."""
+"""Type and number of columns of each recorded array; 0: one value per sample, None: one column per joint."""
 
 _MAY_BE_INFINITE = ("tool_to_hand_m", "arm_to_hand_m")
 
@@ -42,18 +44,19 @@ class Execution:
     """A recorded run of N samples.
 
     Attributes:
-        time_s: (N,) from the start of the approach.
+        time_s: (N,) since the start of the approach.
         phase: (N,) int8, index into ``PHASES``.
         reference_poses, reference_velocities: (N, 4) x, y, z [m], yaw [rad] and their rates.
         tool_positions_m: (N, 3) measured center of the disc.
-        tool_quaternions: (N, 4) measured rotation of the tool, x, y, z, w; half turns of its mounting taken out.
+        tool_quaternions: (N, 4) measured rotation of the tool, x, y, z, w, without half turns of its mounting.
         joint_positions_rad, torques_nm: (N, n); torques as commanded after saturation.
-        tool_to_hand_m, arm_to_hand_m: (N,) distance of the tool, and of the links above it (infinite beyond
-            0.5 m), to the hand's surface; 0 where they touch.
-        contacts: (N,) int32, contact points counted by the physics since the sample before; it feels them 1 mm early.
+        tool_to_hand_m, arm_to_hand_m: (N,) distance of the tool, and of the links above it, to the hand's surface;
+            0 where they touch, infinite without a hand or without links.
+        contacts: (N,) int32, contact points in the simulation since the previous sample. The simulation counts a
+            contact 1 mm before the surfaces touch.
         body: the tool.
-        seed: what drew the arm's imperfections.
-        stop_reason: why the monitor stopped the arm, empty if it did not.
+        seed: of the arm's friction and torque sensor gains.
+        stop_reason: why the monitor stopped the arm; empty if it did not.
     """
 
     time_s: NDArray[np.float64]
@@ -87,25 +90,18 @@ class Execution:
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """(N,) the samples that count: from rest at the start to rest at the goal, a stop included."""
-        outside = [PHASES.index("approach"), PHASES.index("retreat")]
-        return np.asarray(~np.isin(self.phase, outside))
+        """(N,) the evaluated samples: from rest at the start to rest at the goal, a stop included."""
+        return np.asarray(~np.isin(self.phase, UNPLANNED_PHASES))
 
     @property
     def completed(self) -> bool:
-        """Whether the whole motion was carried out."""
+        """Whether the whole motion was executed."""
         return not self.stop_reason
 
     @property
     def tool_rotations(self) -> NDArray[np.float64]:
         """(N, 3, 3) world from tool."""
-        x, y, z, w = self.tool_quaternions.T
-        rows = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-        return np.moveaxis(np.array(rows), -1, 0)
+        return rotation_matrices(self.tool_quaternions)
 
     @property
     def reference_speed_mps(self) -> NDArray[np.float64]:
@@ -113,15 +109,10 @@ class Execution:
         return np.asarray(np.linalg.norm(self.reference_velocities[:, :3], axis=1))
 
     @property
-    def position_error_m(self) -> NDArray[np.float64]:
-        """(N,) distance of the measured center from the reference."""
-        return np.asarray(np.linalg.norm(self.tool_positions_m - self.reference_poses[:, :3], axis=1))
-
-    @property
     def rotation_error_rad(self) -> NDArray[np.float64]:
-        """(N,) angle between measured rotation and reference, tilt of the shaft included, so never below yaw's."""
+        """(N,) angle between measured rotation and reference, with the tilt of the shaft: at least the yaw error."""
         half = self.reference_poses[:, 3] / 2
-        # scalar part of conjugate(reference) * measured, reference = (0, 0, sin, cos)
+        # conjugate(reference) * measured, reference = (0, 0, sin, cos)
         x, y, z, w = self.tool_quaternions.T
         c, s = np.cos(half), np.sin(half)
         vector = np.stack([c * x + s * y, c * y - s * x, c * z - s * w])
@@ -129,25 +120,23 @@ class Execution:
 
     @property
     def workspace_error_m(self) -> NDArray[np.float64]:
-        """(N,) e_pos + rho_max * e_rotation: how far a point of the disc is off at most (decision 13)."""
-        return self.position_error_m + self.body.rho_max_m * self.rotation_error_rad
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """All arrays by name."""
-        return {name: getattr(self, name) for name in COLUMNS}
+        """(N,) e_pos + rho_max * e_rotation, an upper bound of the error of any point of the disc (decision 13)."""
+        position_error_m = np.linalg.norm(self.tool_positions_m - self.reference_poses[:, :3], axis=1)
+        return np.asarray(position_error_m + self.body.rho_max_m * self.rotation_error_rad)
 
     def digest(self) -> str:
-        """SHA-256 of everything recorded: equal runs have equal digests."""
+        """SHA-256 of the recording: equal runs have equal digests."""
         state = hashlib.sha256(repr((self.body, self.seed, self.stop_reason)).encode())
-        for name, array in self.arrays().items():
+        for name in COLUMNS:
+            array = getattr(self, name)
             state.update(name.encode() + array.dtype.str.encode() + repr(array.shape).encode())
             state.update(np.ascontiguousarray(array).tobytes())
         return state.hexdigest()
 
     def save(self, folder: str | pathlib.Path) -> None:
-        """Write ``folder`` (execution.json, arrays.npz) as a whole, replacing what was there."""
+        """Write ``folder`` (execution.json, arrays.npz) atomically; an existing folder is replaced."""
         with atomic_folder(folder) as temporary:
-            np.savez_compressed(temporary / "arrays.npz", **self.arrays())  # type: ignore[arg-type]
+            np.savez_compressed(temporary / "arrays.npz", **{name: getattr(self, name) for name in COLUMNS})
             about = {
                 "format": _FORMAT,
                 "phases": PHASES,
@@ -160,7 +149,7 @@ class Execution:
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> Self:
-        """Read what ``save`` wrote.
+        """Read a folder that ``save`` wrote.
 
         Raises:
             DataError: a file is missing, damaged, altered, or of another format.
@@ -183,3 +172,14 @@ class Execution:
         if execution.digest() != about.get("digest"):
             raise DataError(folder, "was altered after it was written; execute the motion again")
         return execution
+
+
+def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrices (..., 3, 3) of unit quaternions (..., 4) given as x, y, z, w."""
+    x, y, z, w = np.moveaxis(quaternions, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))

@@ -1,4 +1,4 @@
-"""Settings of an execution, free of everything that carries it out."""
+"""Settings of an execution."""
 
 import dataclasses
 import math
@@ -11,19 +11,19 @@ __all__ = ["ExecutionSettings"]
 
 @dataclasses.dataclass(frozen=True)
 class ExecutionSettings:
-    """How a motion is carried out.
+    """How a motion is executed.
 
     Attributes:
-        approach_m: the tool comes down from, and leaves to, this height above start and goal; 0 for neither.
-        approach_speed_mps: mean speed of that.
-        settle_s: rest before and after the motion; the rest after it is judged with it (lag persists after braking).
-        record_rate_hz: rate of the recorded arrays.
-        monitor_margin_m: the arm is stopped once the workspace error exceeds gamma(max(v, min_speed)) by this.
-        min_speed_mps: the smallest speed at which the bound is read; the paper's line is 0 at rest (decision 13).
-        brake_delay_s: after a stop the controller holds the arm softly where it is until its brakes have closed. An
-            assumption of the order of such brakes, not a figure of the data sheet.
-        max_look_age_s: the arm does not start on an image older than this.
-        max_frame_age_s: it stops when the camera's newest image is older than this.
+        approach_m: the tool comes down from this height above the start, and leaves to this height above the goal;
+            0 for no approach and no retreat.
+        approach_speed_mps: mean speed of approach and retreat.
+        settle_s: rest before and after the motion. The rest after it is evaluated too: lag persists after braking.
+        record_rate_hz: sampling rate of the recording.
+        monitor_margin_m: the monitor stops the arm if the workspace error exceeds gamma(max(v, v_min)) by more.
+        brake_delay_s: after a stop the controller holds the arm softly until its brakes have closed after this time.
+            Assumed, in the order of such brakes; not a figure of the data sheet.
+        max_look_age_s: the arm does not start if the image that the motion was planned from is older.
+        max_frame_age_s: the arm stops if the camera's newest image is older.
         impedance: gains of the controller.
     """
 
@@ -32,7 +32,6 @@ class ExecutionSettings:
     settle_s: float = 0.3
     record_rate_hz: float = 100.0
     monitor_margin_m: float = 0.001
-    min_speed_mps: float = 0.01
     brake_delay_s: float = 0.03
     max_look_age_s: float = 60.0
     max_frame_age_s: float = 0.5
@@ -43,7 +42,7 @@ class ExecutionSettings:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise SettingsError(f"{name} must be finite and not negative, got {value}")
-        for name in ("approach_speed_mps", "record_rate_hz", "min_speed_mps", "max_look_age_s", "max_frame_age_s"):
+        for name in ("approach_speed_mps", "record_rate_hz", "max_look_age_s", "max_frame_age_s"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise SettingsError(f"{name} must be positive, got {value}")

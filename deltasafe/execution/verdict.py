@@ -1,42 +1,33 @@
-"""The verdict on an execution: was every executed pose delta-safe, was tracking within its bound, was anything touched?
+"""Evaluation of an execution: delta-safety of the executed poses, tracking error against its bound, contacts.
 
-Delta-safety is pointwise, for each point of the tool and each instant (decision 10). It bounds neither the probability
-that the body as a whole collides nor that the motion does, so the joint statement about the whole motion stands
-beside the share of poses.
+Delta-safety is pointwise: it holds for each point of the tool at each instant (decision 10). It bounds neither the
+probability that the tool as a whole collides nor that the motion does. Therefore the verdict states both the fraction
+of delta-safe poses and whether all poses of the motion were delta-safe.
 """
 
 import dataclasses
 import itertools
 import math
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution.recording import Execution
+from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.planning.audit import body_points
-from deltasafe.planning.body import ToolBody
-from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["OccupancyField", "SafetyVerdict", "SpeedBin", "judge", "largest_p_occupied"]
+__all__ = ["SafetyVerdict", "SpeedBin", "evaluate_execution", "largest_p_occupied"]
 
 Array = NDArray[np.float64]
 
 _SPEED_EDGES_MPS = (0.0, 0.005, 0.02, 0.05, 0.1, 0.15, 0.2, math.inf)
 
 
-class OccupancyField(Protocol):
-    """What the verdict asks of a field: P(occupied) at points."""
-
-    def at(self, points_m: Array) -> NDArray[Any]:
-        """(N,) p_occupied at (N, 3) points in meters."""
-
-
 @dataclasses.dataclass(frozen=True)
 class SpeedBin:
-    """Tracking at reference speeds from ``from_mps`` up to (not including) ``to_mps``; None: unlimited."""
+    """Tracking at reference speeds from ``from_mps`` up to, not including, ``to_mps``; None: unlimited."""
 
     from_mps: float
     to_mps: float | None
@@ -51,22 +42,25 @@ class SafetyVerdict:
     """JSON-friendly; lengths in meters, times in seconds.
 
     Attributes:
-        delta: the level that was judged.
-        poses: number of recorded poses between rest at the start and rest at the goal.
-        delta_safe_share: share of them at which every point of the tool has p_occupied <= delta (pointwise).
-        whole_motion_delta_safe: whether that held at all of them (joint).
-        worst_p_occupied, worst_at_s: the largest p_occupied that a point of the tool met, and when.
-        approach_delta_safe_share: the same share for the way down and up, which is not planned; None without one.
-        completed, stop_reason: whether the monitor let the motion finish, and why not.
+        delta: the evaluated level.
+        poses: number of recorded poses from rest at the start to rest at the goal.
+        delta_safe_share: fraction of these poses at which every point of the tool has p_occupied <= delta (pointwise).
+        whole_motion_delta_safe: whether all of these poses are delta-safe (joint).
+        worst_p_occupied, worst_at_s: largest p_occupied at a point of the tool, and its time.
+        approach_delta_safe_share: fraction of delta-safe poses of approach and retreat, which are not planned; None
+            without approach and retreat.
+        completed, stop_reason: whether the motion was completed, and why the monitor stopped it if not.
         max_error_m: largest workspace error e_pos + rho_max e_rotation.
-        share_within_bound, max_excess_m: against gamma(max(v, min_speed_mps)); the excess is negative when inside.
-        share_within_bound_at_true_speed: against gamma(v) itself, which the paper's line puts at 0 at rest.
+        share_within_bound, max_excess_m: fraction of time within gamma(max(v, min_speed_mps)), and largest error minus
+            this bound; negative if always inside.
+        share_within_bound_at_true_speed: the same fraction for gamma(v), which is 0 at rest for the paper's line.
+        min_speed_mps: v_min of the motion's settings.
         by_speed: the same by reference speed.
         min_tool_to_hand_m, min_arm_to_hand_m: smallest distances to the true hand, approach and retreat included;
-            None: no hand or no links.
-        contacts: contact points with hand or table counted by the physics, approach and retreat included.
-        duration_s: of the judged part.
-        safe: the whole motion was delta-safe, completed, and touched nothing.
+            None without a hand or without links.
+        contacts: contact points with hand or table in the simulation, approach and retreat included.
+        duration_s: of the evaluated part.
+        safe: all poses of the motion are delta-safe, the motion was completed, and there was no contact.
     """
 
     delta: float
@@ -91,47 +85,33 @@ class SafetyVerdict:
     safe: bool
 
 
-def judge(
-    execution: Execution,
-    grid: OccupancyField,
-    body: ToolBody,
-    delta: float,
-    bound: TrackingBound,
-    *,
-    min_speed_mps: float = 0.01,
-    spacing_m: float = 0.0025,
+def evaluate_execution(
+    execution: Execution, grid: OccupancyGrid, settings: MotionSettings, spacing_m: float = 0.0025
 ) -> SafetyVerdict:
-    """Judge what was executed, at the measured poses, against the field it was planned in and the true hand.
+    """Evaluate the measured poses against the grid that the motion was planned in, and against the true hand.
 
     Args:
         execution: the recording.
-        grid: the field; asked at every measured pose for points of the tool ``spacing_m`` apart.
-        body: the tool as planned.
-        delta: level in (0, 1).
-        bound: gamma.
-        min_speed_mps: smallest speed at which the bound is read.
+        grid: is evaluated at points of the tool ``spacing_m`` apart.
+        settings: of the motion: delta, tool, tracking bound, and the smallest speed at which the bound is evaluated.
 
     Raises:
-        SettingsError: delta outside (0, 1), or another tool than the executed one.
+        SettingsError: the motion was executed with another tool.
     """
-    if not 0 < delta < 1:
-        raise SettingsError(f"delta must lie in (0, 1), got {delta}")
-    if body != execution.body:
-        raise SettingsError(f"the motion was executed with {execution.body}, not with {body}")
-    judged = execution.judged
-    p_occupied = largest_p_occupied(execution, grid, body, spacing_m)
-    safe = p_occupied <= delta
+    if settings.body != execution.body:
+        raise SettingsError(f"the motion was executed with {execution.body}, not with {settings.body}")
+    judged, aside = execution.judged, ~execution.judged
+    p_occupied = largest_p_occupied(execution, grid, settings.body, spacing_m)
+    safe = p_occupied <= settings.delta
     worst = int(np.argmax(np.where(judged, p_occupied, -np.inf)))
-    aside = ~judged
-    error = execution.workspace_error_m[judged]
-    speed = execution.reference_speed_mps[judged]
-    excess = error - bound.error_m(np.maximum(speed, min_speed_mps))
-    contacts = int(execution.contacts.sum())
-    whole = bool(safe[judged].all())
+    error, speed = execution.workspace_error_m[judged], execution.reference_speed_mps[judged]
+    bound = settings.tracking
+    excess = error - bound.error_m(np.maximum(speed, settings.v_min_mps))
+    contacts, whole = int(execution.contacts.sum()), bool(safe[judged].all())
     time_s = execution.time_s[judged]
     tool, arm = execution.tool_to_hand_m.min(), execution.arm_to_hand_m.min()
     return SafetyVerdict(
-        delta=float(delta),
+        delta=float(settings.delta),
         poses=int(judged.sum()),
         delta_safe_share=float(safe[judged].mean()),
         whole_motion_delta_safe=whole,
@@ -144,7 +124,7 @@ def judge(
         share_within_bound=float((excess <= 0).mean()),
         share_within_bound_at_true_speed=float((error <= bound.error_m(speed)).mean()),
         max_excess_m=float(excess.max()),
-        min_speed_mps=min_speed_mps,
+        min_speed_mps=settings.v_min_mps,
         by_speed=tuple(_by_speed(speed, error, excess)),
         min_tool_to_hand_m=float(tool) if math.isfinite(tool) else None,
         min_arm_to_hand_m=float(arm) if math.isfinite(arm) else None,
@@ -154,15 +134,12 @@ def judge(
     )
 
 
-def largest_p_occupied(execution: Execution, grid: OccupancyField, body: ToolBody, spacing_m: float = 0.0025) -> Array:
-    """(N,) largest p_occupied of the tool's points, ``spacing_m`` apart, at each measured pose."""
+def largest_p_occupied(execution: Execution, grid: OccupancyGrid, body: ToolBody, spacing_m: float = 0.0025) -> Array:
+    """Return (N,) largest p_occupied at points of the tool, ``spacing_m`` apart, at each measured pose."""
     points = body_points(body, spacing_m)
-    if isinstance(grid, OccupancyGrid):
-        return np.asarray(
-            grid.max_p_occupied_on(points, execution.tool_rotations, execution.tool_positions_m), dtype=np.float64
-        )
-    poses = zip(execution.tool_rotations, execution.tool_positions_m, strict=True)
-    return np.array([np.max(grid.at(points @ rotation.T + position)) for rotation, position in poses])
+    return np.asarray(
+        grid.max_p_occupied_on(points, execution.tool_rotations, execution.tool_positions_m), dtype=np.float64
+    )
 
 
 def _by_speed(speed: Array, error: Array, excess: Array) -> list[SpeedBin]:

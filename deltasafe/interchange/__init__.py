@@ -1,4 +1,4 @@
-"""MCAP, the log format of robotics viewers: scenes are read from it and written to it, and so are executions."""
+"""Import and export of scenes and executions as MCAP, the log format of robotics viewers."""
 
 from deltasafe.interchange.executions import export_execution, import_execution
 from deltasafe.interchange.scenes import export_scene, import_scene

@@ -1,4 +1,4 @@
-"""An execution as an MCAP log and back: tool pose, joints, path, clearances, and the scene around it."""
+"""Export of an execution as an MCAP log, and its import: tool pose, joints, path, distances, and the scene."""
 
 import dataclasses
 import pathlib
@@ -11,7 +11,7 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution.recording import PHASES, Execution
 from deltasafe.geometry import Pose
 from deltasafe.interchange.frames import WORLD
-from deltasafe.interchange.mcap_log import NS_PER_S, LogWriter, read_log, stamp
+from deltasafe.interchange.mcap_log import NS_PER_S, open_log, read_log, stamp
 from deltasafe.interchange.scenes import quaternion, upright, vector, write_scene_topics
 from deltasafe.planning.body import ToolBody
 from deltasafe.scene import LoggedScene
@@ -21,27 +21,27 @@ __all__ = ["export_execution", "import_execution"]
 TOOL, REFERENCE, JOINTS, SAMPLES = "/tool/pose", "/tool/reference", "/joint_states", "/execution"
 PLANNED, DRIVEN = "/path/reference", "/path/executed"
 FACTS = "deltasafe.execution"
-EVERY = 5
-"""Of the recorded poses of a drawn path."""
-CLOSE = 1e-9
+PATH_EVERY = 5
+"""Recorded poses between two poses of a drawn path."""
+TOLERANCE = 1e-9
 
 
 def export_execution(execution: Execution, destination: str | pathlib.Path, scene: LoggedScene | None = None) -> None:
-    """Write a recording as an MCAP log; nothing is lost.
+    """Write a recording as a lossless MCAP log.
 
     Args:
-        scene: what it was executed in, drawn around it: image, camera, true hand, task.
+        scene: adds image, camera, true hand and task.
 
     Raises:
         DataError: the scene's image is neither JPEG nor PNG.
         SettingsError: the destination does not end in .mcap, or the package mcap is not installed.
     """
-    with LogWriter(destination) as log:
+    with open_log(destination) as log:
         if scene is not None:
             write_scene_topics(log, scene)
         for topic, schema, time_ns, message in _messages(execution):
-            log.say(topic, schema, time_ns, message)
-        log.note(
+            log.write_message(topic, schema, time_ns, message)
+        log.write_facts(
             FACTS,
             {
                 "body": dataclasses.asdict(execution.body),
@@ -53,15 +53,15 @@ def export_execution(execution: Execution, destination: str | pathlib.Path, scen
 
 
 def import_execution(source: str | pathlib.Path) -> Execution:
-    """Read what ``export_execution`` wrote: the same recording, by its digest.
+    """Read a log that ``export_execution`` wrote; the recording is identical, by its digest.
 
     Raises:
-        DataError: the log is damaged, holds no execution, or was altered: also in what the recording does not
+        DataError: the log is damaged, holds no execution, or was altered, be it in a field that the recording does not
             need, such as a frame, a time, or the name of a joint.
         SettingsError: the package mcap is not installed.
     """
     log = read_log(source)
-    facts, samples, joints, tool = log.about(FACTS), log.on(SAMPLES), log.on(JOINTS), log.on(TOOL)
+    facts, samples, joints, tool = log.facts_named(FACTS), *map(log.messages_on, (SAMPLES, JOINTS, TOOL))
     try:
         execution = Execution(
             time_s=np.array([one["time_s"] for one in samples]),
@@ -86,17 +86,17 @@ def import_execution(source: str | pathlib.Path) -> Execution:
         raise DataError(log.path, f"holds no execution ({error!r}); export it again") from error
     if execution.digest() != facts.get("digest"):
         raise DataError(log.path, "was altered after it was written; export the execution again")
-    for topic, said in expected.items():
-        if not _same(said, log.messages.get(topic, said)):  # what is only drawn may have been left out
+    for topic, messages in expected.items():
+        if not _same(messages, log.messages.get(topic, messages)):  # topics that are only drawn may be missing
             raise DataError(log.path, f"contradicts itself on {topic}, it was altered; export the execution again")
     return execution
 
 
 def _messages(execution: Execution) -> Iterator[tuple[str, str, int, dict[str, Any]]]:
-    """Topic, schema, time and message of everything that is said about an execution."""
+    """Topic, schema, time and content of each message of an execution."""
     names = [f"joint_{number}" for number in range(1, execution.joint_positions_rad.shape[1] + 1)]
     speed, error = execution.reference_speed_mps, execution.workspace_error_m
-    shown = np.flatnonzero(execution.judged)[::EVERY]
+    shown = np.flatnonzero(execution.judged)[::PATH_EVERY]
     for topic, poses in (
         (PLANNED, [upright(Pose(*map(float, execution.reference_poses[n]))) for n in shown]),
         (DRIVEN, [_measured(execution, n) for n in shown]),
@@ -136,7 +136,7 @@ def _measured(execution: Execution, n: int) -> dict[str, Any]:
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Whether two JSON values are equal; derived numbers may differ in their last digits between versions of NumPy."""
+    """Whether two JSON values are equal. Derived numbers may differ in the last digits between versions of NumPy."""
     if isinstance(one, dict):
         return (
             isinstance(other, dict) and one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
@@ -144,7 +144,7 @@ def _same(one: Any, other: Any) -> bool:
     if isinstance(one, list):
         return isinstance(other, list) and len(one) == len(other) and all(map(_same, one, other))
     if type(one) in (int, float) and type(other) in (int, float):
-        return abs(one - other) <= CLOSE * max(1.0, abs(one))
+        return abs(one - other) <= TOLERANCE * max(1.0, abs(one))
     return type(one) is type(other) and bool(one == other)
 
 

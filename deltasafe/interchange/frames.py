@@ -1,6 +1,7 @@
-"""Coordinate frames of a log: stamped transforms, and the pose of a frame in the world at a given time."""
+"""Coordinate frames of a log: stamped transforms, and the pose of a frame in the world at a time."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,22 +16,22 @@ __all__ = ["WORLD", "FramePose", "Frames", "frame_of", "pose_of", "same_pose"]
 
 WORLD = "world"
 UNIT_TOLERANCE = 1e-3
-"""Of the length of a quaternion: covers components that were rounded to three decimals."""
+"""Tolerance of the norm of a quaternion: covers components that were rounded to three decimals."""
 SAME_M, SAME_RAD = 1e-4, 1e-4
-"""Two poses closer than this are the same: covers transforms that were rounded when they were recorded."""
-LARGEST = 1e6
-"""Of any coordinate in meters: no product of such numbers overflows."""
-MOST_LINKS = 100
-"""Of a chain: real ones have about ten; bounds the work that a log can ask for."""
+"""Two poses closer than this are equal: covers transforms that were rounded when they were recorded."""
+MAX_COORDINATE = 1e6
+"""In meters: no product of such numbers overflows."""
+MAX_LINKS = 100
+"""Of a chain of transforms, which bounds the work for a malicious log. Real chains have about ten."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FramePose:
-    """A pose in space, all six degrees of freedom.
+    """A pose with six degrees of freedom.
 
     Attributes:
         position_m: (3,) float64.
-        quaternion: (4,) float64 x, y, z, w, of unit length within ``UNIT_TOLERANCE``; as it was recorded.
+        quaternion: (4,) float64 x, y, z, w as recorded; its norm is 1 within ``UNIT_TOLERANCE``.
     """
 
     position_m: NDArray[np.float64]
@@ -41,14 +42,14 @@ class FramePose:
         return Rotation.from_quat(self.quaternion)
 
     def within(self, outer: "FramePose") -> "FramePose":
-        """This pose, given in a frame whose own pose is ``outer``, in the frame of ``outer``."""
-        if outer is ORIGIN:  # no arithmetic: poses in the world frame keep their last bit
+        """Transform this pose from a frame with the pose ``outer`` to the frame in which ``outer`` is given."""
+        if outer is ORIGIN:  # without arithmetic, so that poses in the world frame keep their last bit
             return self
         position_m = outer.rotation.apply(self.position_m) + outer.position_m
         return FramePose(position_m, (outer.rotation * self.rotation).as_quat())
 
     def inverse(self) -> "FramePose":
-        """The pose of the outer frame in this one."""
+        """Return the pose of the outer frame in this one."""
         back = self.rotation.inv()
         return FramePose(-back.apply(self.position_m), back.as_quat())
 
@@ -69,10 +70,10 @@ class Frames:
 
     Args:
         log: the log.
-        topic: holds messages ``foxglove.FrameTransform``.
+        topic: of messages ``foxglove.FrameTransform``.
 
     Raises:
-        DataError: there is none, or one lacks a frame or its timestamp.
+        DataError: the topic has no message, or a message without a frame or a timestamp.
     """
 
     def __init__(self, log: LogContent, topic: str) -> None:
@@ -84,34 +85,34 @@ class Frames:
                 time_ns_of(log.path, topic, message),
                 message,
             )
-            for message in log.on(topic)
+            for message in log.messages_on(topic)
         ]
 
-    def knows(self, frame: str, time_ns: int) -> bool:
-        """Whether transforms not later than ``time_ns`` lead from the world to the frame."""
+    def is_connected(self, frame: str, time_ns: int) -> bool:
+        """Whether transforms not later than ``time_ns`` connect the world with the frame."""
         return _chain(self._newest(time_ns), frame) is not None
 
     def pose_in_world(self, frame: str, time_ns: int) -> FramePose:
-        """Pose of a frame in the world, composed of the newest transforms that are not later than ``time_ns``.
+        """Compose the pose of a frame in the world from the newest transforms that are not later than ``time_ns``.
 
-        Transforms are followed in both directions, as tf2 does.
+        Transforms are followed in both directions, as in tf2.
 
         Raises:
-            DataError: no chain of such transforms leads from the world to the frame, two chains disagree, or a
-                transform is not finite or its quaternion not of unit length.
+            DataError: such transforms do not connect the world with the frame, two chains disagree, a transform is not
+                finite, or its quaternion is not of unit length.
         """
         usable = self._newest(time_ns)
         chain = _chain(usable, frame)
         if chain is None:
             raise DataError(self._log.path, f"{self._topic} {self._no_chain(frame, time_ns)}")
-        if len(chain) > MOST_LINKS:
+        if len(chain) > MAX_LINKS:
             raise DataError(
                 self._log.path,
-                f"{self._topic} has {len(chain)} transforms from {WORLD!r} to {frame!r}, at most {MOST_LINKS} are "
+                f"{self._topic} has {len(chain)} transforms from {WORLD!r} to {frame!r}, at most {MAX_LINKS} are "
                 "read; give a shorter chain",
             )
         pose = self._composed(chain)
-        for link in chain:  # any other chain does without one of the links
+        for link in chain:  # any other chain lacks one of the links
             other = _chain([one for one in usable if one is not link], frame)
             if other is not None and not same_pose(pose, self._composed(other)):
                 raise DataError(
@@ -122,17 +123,17 @@ class Frames:
         return pose
 
     def _newest(self, time_ns: int) -> list[_Transform]:
-        """Of each pair of frames the newest transform not later than a time; several, if they have the same time."""
+        """The newest transforms of each pair of frames that are not later than a time; several with equal times."""
         newest: dict[tuple[str, str], list[_Transform]] = {}
         for one in self._transforms:
             if one.time_ns > time_ns:
                 continue
-            known = newest.setdefault((one.parent, one.child), [])
-            if known and known[0].time_ns < one.time_ns:
-                known.clear()
-            if not known or known[0].time_ns == one.time_ns:
-                known.append(one)
-        return [one for several in newest.values() for one in several]
+            found = newest.setdefault((one.parent, one.child), [])
+            if found and found[0].time_ns < one.time_ns:
+                found.clear()
+            if not found or found[0].time_ns == one.time_ns:
+                found.append(one)
+        return list(itertools.chain.from_iterable(newest.values()))
 
     def _composed(self, chain: Sequence[_Transform]) -> FramePose:
         pose, here = ORIGIN, WORLD
@@ -154,7 +155,7 @@ class Frames:
 
 
 def pose_of(log: LogContent, what: str, position: Any, orientation: Any) -> FramePose:
-    """Position and orientation as messages hold them, checked.
+    """Check position and orientation of a message, and return the pose.
 
     Raises:
         DataError: a component is missing or not a finite number, or the quaternion is not of unit length.
@@ -171,10 +172,10 @@ def pose_of(log: LogContent, what: str, position: Any, orientation: Any) -> Fram
 
 
 def frame_of(log: LogContent, topic: str, message: dict[str, Any], key: str = "frame_id") -> str:
-    """The frame that a message names.
+    """Return the frame of a message.
 
     Raises:
-        DataError: it names none.
+        DataError: the message has none.
     """
     frame = message.get(key)
     if not isinstance(frame, str) or not frame:
@@ -189,28 +190,29 @@ def same_pose(one: FramePose, other: FramePose) -> bool:
 
 
 def _numbers(log: LogContent, what: str, value: Any, names: str) -> NDArray[np.float64]:
-    """The components in their order; true and text are no numbers."""
+    """The components in their order; booleans and text are refused."""
     found: list[Any] = [value.get(name) for name in names] if isinstance(value, dict) else [None]
-    if not all(type(one) in (int, float) and abs(one) <= LARGEST for one in found):
+    if not all(type(one) in (int, float) and abs(one) <= MAX_COORDINATE for one in found):
         raise DataError(
             log.path,
-            f"{what} needs finite numbers {', '.join(names)} up to {LARGEST:g}, got {value!r:.120}; record it again",
+            f"{what} needs finite numbers {', '.join(names)} up to {MAX_COORDINATE:g}, got {value!r:.120}; "
+            "record it again",
         )
     return np.array(found, np.float64)
 
 
 def _chain(transforms: Sequence[_Transform], frame: str) -> list[_Transform] | None:
-    """The shortest chain from the world to a frame."""
-    beside: dict[str, list[tuple[str, _Transform]]] = {}
+    """The shortest chain from the world to a frame (breadth-first search)."""
+    neighbors: dict[str, list[tuple[str, _Transform]]] = {}
     for one in transforms:
-        beside.setdefault(one.parent, []).append((one.child, one))
-        beside.setdefault(one.child, []).append((one.parent, one))
+        neighbors.setdefault(one.parent, []).append((one.child, one))
+        neighbors.setdefault(one.child, []).append((one.parent, one))
     reached: dict[str, tuple[str, _Transform] | None] = {WORLD: None}
     front = [WORLD]
     while front and frame not in reached:
         following = []
         for here in front:
-            for there, one in beside.get(here, []):
+            for there, one in neighbors.get(here, []):
                 if there not in reached:
                     reached[there] = (here, one)
                     following.append(there)

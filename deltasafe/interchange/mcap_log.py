@@ -1,4 +1,4 @@
-"""One MCAP file: JSON messages on topics, facts as metadata, whole files as attachments. The only importer of mcap."""
+"""MCAP files with JSON messages on topics, facts as metadata, and files as attachments. The only importer of mcap."""
 
 import base64
 import contextlib
@@ -6,31 +6,30 @@ import dataclasses
 import importlib.util
 import json
 import pathlib
-from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.interchange.schemas import SCHEMAS
 from deltasafe.io.arrays import READ_ERRORS
 from deltasafe.io.storage import atomic_file, parse_json
 
-__all__ = ["NS_PER_S", "LogContent", "LogWriter", "read_log", "stamp", "time_ns_of"]
+__all__ = ["NS_PER_S", "LogContent", "LogWriter", "open_log", "read_log", "stamp", "time_ns_of"]
 
 LIBRARY = "deltasafe"
 NS_PER_S = 1_000_000_000
 
 
 def stamp(time_ns: int) -> dict[str, int]:
-    """A time as messages hold it."""
+    """Convert a time to a ``timestamp``."""
     return {"sec": time_ns // NS_PER_S, "nsec": time_ns % NS_PER_S}
 
 
 def time_ns_of(path: pathlib.Path, topic: str, message: Mapping[str, Any]) -> int:
-    """The ``timestamp`` of a message, which ``stamp`` wrote.
+    """Return the ``timestamp`` of a message in nanoseconds.
 
     Raises:
-        DataError: it is missing, or no time.
+        DataError: it is missing or invalid.
     """
     time = message.get("timestamp")
     parts: list[Any] = [time.get("sec"), time.get("nsec")] if isinstance(time, dict) else [None]
@@ -39,50 +38,37 @@ def time_ns_of(path: pathlib.Path, topic: str, message: Mapping[str, Any]) -> in
     return int(parts[0] * NS_PER_S + parts[1])
 
 
-class LogWriter:
-    """Writes a file that appears as a whole when the block ends; equal content gives equal bytes.
-
-    Args:
-        destination: the file.
+@contextlib.contextmanager
+def open_log(destination: str | pathlib.Path) -> Iterator["LogWriter"]:
+    """Write a log that appears atomically at the end of the block. Equal content gives equal bytes.
 
     Raises:
         SettingsError: the file does not end in .mcap, or the package mcap is not installed.
         WriteError: no room, or no permission.
     """
+    _require_mcap()
+    from mcap.writer import Writer
 
-    def __init__(self, destination: str | pathlib.Path) -> None:
-        _require_mcap()
-        if pathlib.Path(destination).suffix.lower() != ".mcap":
-            raise SettingsError(f"a log must end in .mcap, got {pathlib.Path(destination).name}")
-        self._whole = contextlib.ExitStack()
-        self._destination = destination
+    if pathlib.Path(destination).suffix.lower() != ".mcap":
+        raise SettingsError(f"a log must end in .mcap, got {pathlib.Path(destination).name}")
+    with atomic_file(destination) as temporary, temporary.open("wb") as stream:
+        # the checksums of chunks do not cover attachments and metadata
+        writer = Writer(stream, enable_data_crcs=True)
+        writer.start(profile="", library=LIBRARY)
+        yield LogWriter(writer)
+        writer.finish()
+
+
+class LogWriter:
+    """Writes messages, facts and attachments to the log that `open_log` opened."""
+
+    def __init__(self, writer: Any) -> None:
+        self._writer = writer
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
 
-    def __enter__(self) -> Self:
-        from mcap.writer import Writer
-
-        temporary = self._whole.enter_context(atomic_file(self._destination))
-        stream = self._whole.enter_context(temporary.open("wb"))
-        # covers attachments and metadata, which the checksums of chunks do not
-        self._writer = Writer(stream, enable_data_crcs=True)
-        self._whole.push(self._finish)
-        self._writer.start(profile="", library=LIBRARY)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._whole.__exit__(kind, error, trace)
-
-    def _finish(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self._writer.finish()
-
-    def say(self, topic: str, schema: str, time_ns: int, message: Mapping[str, Any]) -> None:
-        """A message of one of ``SCHEMAS``; its ``timestamp`` is added."""
+    def write_message(self, topic: str, schema: str, time_ns: int, message: Mapping[str, Any]) -> None:
+        """Write a message of one of ``SCHEMAS`` with its ``timestamp``."""
         if topic not in self._channels:
             if schema not in self._schemas:
                 content = json.dumps(SCHEMAS[schema]).encode()
@@ -91,23 +77,23 @@ class LogWriter:
         data = json.dumps({"timestamp": stamp(time_ns), **message}, allow_nan=False).encode()
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
 
-    def note(self, name: str, facts: Mapping[str, Any]) -> None:
-        """Facts about the whole file, each as JSON."""
+    def write_facts(self, name: str, facts: Mapping[str, Any]) -> None:
+        """Write facts about the whole file as metadata, each as JSON."""
         self._writer.add_metadata(name, {key: json.dumps(value, allow_nan=False) for key, value in facts.items()})
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """A whole file."""
+        """Attach a file."""
         self._writer.add_attachment(0, 0, name, media_type, data)
 
 
 @dataclasses.dataclass(frozen=True)
 class LogContent:
-    """All that a log holds.
+    """Content of a log.
 
     Attributes:
         path: the file.
-        messages: by topic, in the order of time.
-        facts: by the name of the metadata.
+        messages: by topic, ordered by time.
+        facts: by name of the metadata.
         attachments: by name.
     """
 
@@ -116,50 +102,37 @@ class LogContent:
     facts: dict[str, dict[str, Any]]
     attachments: dict[str, bytes]
 
-    def on(self, topic: str) -> list[dict[str, Any]]:
-        """The messages on a topic, at least one.
+    def messages_on(self, topic: str) -> list[dict[str, Any]]:
+        """Return the messages on a topic, at least one; raise DataError if there is none."""
+        return self._required(self.messages, "messages on", topic)
 
-        Raises:
-            DataError: there is none; names the topics that there are.
-        """
-        if topic not in self.messages:
-            raise DataError(self.path, f"has no messages on {topic}, only on {sorted(self.messages)}; export it again")
-        return self.messages[topic]
-
-    def about(self, name: str) -> dict[str, Any]:
-        """The facts of that name.
-
-        Raises:
-            DataError: there are none.
-        """
-        if name not in self.facts:
-            raise DataError(self.path, f"has no metadata {name}; it was not written by deltasafe export")
-        return self.facts[name]
+    def facts_named(self, name: str) -> dict[str, Any]:
+        """Return the facts of a metadata record; raise DataError if there is none."""
+        return self._required(self.facts, "metadata", name)
 
     def attachment(self, name: str) -> bytes:
-        """The attached file of that name.
-
-        Raises:
-            DataError: there is none.
-        """
-        if name not in self.attachments:
-            raise DataError(self.path, f"has no attachment {name}, only {sorted(self.attachments)}; export it again")
-        return self.attachments[name]
+        """Return an attached file; raise DataError if there is none."""
+        return self._required(self.attachments, "attachment", name)
 
     def image(self, topic: str) -> tuple[bytes, str]:
-        """The first image on a topic as a file's bytes, and its format."""
-        message = self.on(topic)[0]
+        """Return the first image on a topic as the bytes of a file, and its format."""
+        message = self.messages_on(topic)[0]
         try:
             return base64.b64decode(message["data"], validate=True), str(message["format"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(self.path, f"{topic} holds no compressed image ({error!r}); export it again") from error
 
+    def _required(self, found: dict[str, Any], kind: str, name: str) -> Any:
+        if name not in found:
+            raise DataError(self.path, f"has no {kind} {name}, only {sorted(found)}; write it with deltasafe export")
+        return found[name]
+
 
 def read_log(path: str | pathlib.Path) -> LogContent:
-    """Read a whole log; messages that are not JSON are passed over, so that logs of other tools can be read.
+    """Read a log. Messages that are not JSON are skipped, so that logs of other tools can be read.
 
     Raises:
-        DataError: the file is missing, cut short, damaged, or no MCAP.
+        DataError: the file is missing, truncated, damaged, or not MCAP.
         SettingsError: the package mcap is not installed.
     """
     _require_mcap()
@@ -167,8 +140,8 @@ def read_log(path: str | pathlib.Path) -> LogContent:
     from zstandard import ZstdError
 
     path = pathlib.Path(path)
-    if path.exists() and not path.is_file():  # a pipe would be waited for
-        raise DataError(path, "is no file; give the log's file")
+    if path.exists() and not path.is_file():  # reading a pipe would block
+        raise DataError(path, "is not a file; give the log's file")
     try:
         return _content(path)
     except FileNotFoundError:
@@ -178,7 +151,7 @@ def read_log(path: str | pathlib.Path) -> LogContent:
 
 
 def _content(path: pathlib.Path) -> LogContent:
-    """Everything in one pass over the records: the index at the end may be missing, or know a part of them only."""
+    """Read all records in one pass: the index at the end may be missing or incomplete."""
     from mcap.records import Attachment, Channel, Message, Metadata
     from mcap.stream_reader import StreamReader
 
@@ -187,7 +160,7 @@ def _content(path: pathlib.Path) -> LogContent:
     facts: dict[str, dict[str, Any]] = {}
     attachments: dict[str, bytes] = {}
     with path.open("rb") as stream:
-        # no record is longer than the file: a damaged length must not claim memory
+        # the limit keeps a damaged length from allocating memory
         for record in StreamReader(stream, validate_crcs=True, record_size_limit=path.stat().st_size).records:
             if isinstance(record, Channel):
                 channels[record.id] = record
@@ -198,7 +171,7 @@ def _content(path: pathlib.Path) -> LogContent:
             elif isinstance(record, Attachment):
                 attachments[record.name] = bytes(record.data)
     by_topic: dict[str, list[dict[str, Any]]] = {}
-    for message in sorted(messages, key=lambda one: one.log_time):  # stable: equal times keep the order of the file
+    for message in sorted(messages, key=lambda one: one.log_time):  # a stable sort
         by_topic.setdefault(channels[message.channel_id].topic, []).append(_object(message.data))
     return LogContent(path, by_topic, facts, attachments)
 

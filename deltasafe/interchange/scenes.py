@@ -1,4 +1,4 @@
-"""A logged scene as an MCAP log and back: image, calibration, camera pose, task; truth as attachments."""
+"""Export of a logged scene as an MCAP log, and its import: image, calibration, camera pose, task, ground truth."""
 
 import base64
 import math
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
 from deltasafe.interchange.frames import WORLD, Frames, frame_of, pose_of, same_pose
-from deltasafe.interchange.mcap_log import LogContent, LogWriter, read_log, stamp, time_ns_of
+from deltasafe.interchange.mcap_log import LogContent, LogWriter, open_log, read_log, stamp, time_ns_of
 from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.perception.data.labeled_images import read_mask, read_rgb
 from deltasafe.scene import LoggedScene
@@ -24,8 +24,8 @@ FACTS = "deltasafe.scene"
 CAMERA = "camera"
 FORMATS = {"jpeg": "image.jpg", "png": "image.png"}
 MASK, MESH = "hand_mask.png", "hand_mesh.npz"
-MOST_TILT_RAD = math.radians(0.1)
-"""Of a start or goal, which the planner takes as upright: 0.07 mm at the rim of a disc of 40 mm."""
+MAX_TILT_RAD = math.radians(0.1)
+"""Of a start or goal, which are upright for the planner: 0.07 mm at the rim of a disc of 40 mm."""
 
 
 def export_scene(scene: LoggedScene, destination: str | pathlib.Path) -> None:
@@ -35,23 +35,23 @@ def export_scene(scene: LoggedScene, destination: str | pathlib.Path) -> None:
         DataError: the image is neither JPEG nor PNG, or a file cannot be read.
         SettingsError: the destination does not end in .mcap, or the package mcap is not installed.
     """
-    with LogWriter(destination) as log:
+    with open_log(destination) as log:
         write_scene_topics(log, scene)
         log.attach(MASK, "image/png", scene.mask_path.read_bytes())
         log.attach(MESH, "application/x-npz", scene.mesh_path.read_bytes())
 
 
 def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
-    """The messages of a scene, all at time 0; the true hand is for looking at."""
+    """Write the messages of a scene, all at time 0. The mesh of the true hand is for display."""
     camera = scene.camera
     suffix = scene.image_path.suffix.lower().lstrip(".").replace("jpg", "jpeg")
     if suffix not in FORMATS:
-        raise DataError(scene.image_path, "is neither JPEG nor PNG; a log holds one of these")
+        raise DataError(scene.image_path, "is neither JPEG nor PNG; convert it to one of these")
     data = base64.b64encode(scene.image_path.read_bytes()).decode()
-    log.say(IMAGE, "foxglove.CompressedImage", 0, {"frame_id": CAMERA, "data": data, "format": suffix})
+    log.write_message(IMAGE, "foxglove.CompressedImage", 0, {"frame_id": CAMERA, "data": data, "format": suffix})
     intrinsic = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     projection = [camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
-    log.say(
+    log.write_message(
         CALIBRATION,
         "foxglove.CameraCalibration",
         0,
@@ -67,7 +67,7 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
         },
     )
     rotation = Rotation.from_matrix(camera.world_from_camera_rotation).as_quat()
-    log.say(
+    log.write_message(
         TRANSFORM,
         "foxglove.FrameTransform",
         0,
@@ -79,9 +79,9 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
         },
     )
     for topic, pose in ((START, scene.start), (GOAL, scene.goal)):
-        log.say(topic, "foxglove.PoseInFrame", 0, {"frame_id": WORLD, "pose": upright(pose)})
-    log.say(HAND, "foxglove.SceneUpdate", 0, {"deletions": [], "entities": [_hand(scene)]})
-    log.note(
+        log.write_message(topic, "foxglove.PoseInFrame", 0, {"frame_id": WORLD, "pose": upright(pose)})
+    log.write_message(HAND, "foxglove.SceneUpdate", 0, {"deletions": [], "entities": [_hand(scene)]})
+    log.write_facts(
         FACTS,
         {
             "id": scene.id,
@@ -93,17 +93,17 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
 
 
 def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> LoggedScene:
-    """Turn an MCAP log into a scene folder (see docs/reference/formats.md), which appears as a whole, and read it.
+    """Convert an MCAP log to a scene folder (docs/reference/formats.md) atomically, and load it.
 
-    The first image counts. Poses are taken into the frame ``world`` by the transforms at the time of that image.
+    The first image is used. Poses are transformed into the frame ``world`` at the time of that image.
 
     Raises:
-        DataError: the log is damaged; it lacks a topic, a fact or the truth that scenes are judged by; its frames,
-            sizes or rotations contradict each other; or a task pose is not upright.
+        DataError: the log is damaged; it lacks a topic, a fact or the ground truth; its frames, sizes or rotations
+            contradict each other; or a task pose is not upright.
         SettingsError: the package mcap is not installed.
     """
     log = read_log(source)
-    facts = log.about(FACTS)
+    facts = log.facts_named(FACTS)
     data, form = log.image(IMAGE)
     if form not in FORMATS:
         raise DataError(log.path, f"{IMAGE} is {form!r}; only {sorted(FORMATS)} can be read, convert it")
@@ -131,7 +131,7 @@ def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> Logg
         try:
             scene = LoggedScene.load(temporary)
             image, mask = read_rgb(scene.image_path), read_mask(scene.mask_path)
-        except DataError as error:  # the folder that it names is about to go
+        except DataError as error:  # it names a temporary folder
             raise DataError(log.path, f"holds a scene whose {error.path.name} {error.reason}") from error
         for topic, pixels in ((IMAGE, image), (MASK, mask)):
             if pixels.shape[:2] != (scene.camera.height, scene.camera.width):
@@ -144,19 +144,19 @@ def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> Logg
 
 
 def vector(values: Any) -> dict[str, float]:
-    """x, y, z as messages hold them."""
+    """Convert x, y, z to the fields of a message."""
     return dict(zip("xyz", map(float, values), strict=True))
 
 
 def quaternion(values: Any) -> dict[str, float]:
-    """x, y, z, w as messages hold them."""
+    """Convert x, y, z, w to the fields of a message."""
     return dict(zip("xyzw", map(float, values), strict=True))
 
 
 def upright(pose: Pose) -> dict[str, Any]:
-    """A pose of the tool, its shaft vertical; its yaw, if within half a turn, is read back to the last bit."""
+    """Convert a pose with a vertical shaft to a message. ``yaw_about_z`` inverts a yaw in [-pi, pi] exactly."""
     z, w = math.sin(pose.yaw_rad / 2), math.cos(pose.yaw_rad / 2)
-    # without this, one angle in twelve comes back off by one unit in the last place
+    # search the neighboring floats: of one angle in twelve, (z, w) gives a yaw that differs in the last bit
     near = [(z, w)]
     for toward in (-2.0, 2.0):
         near += [(math.nextafter(z, toward), w), (z, math.nextafter(w, toward))]
@@ -165,7 +165,7 @@ def upright(pose: Pose) -> dict[str, Any]:
 
 
 def yaw_about_z(z: float, w: float) -> float:
-    """Turn about the vertical, in [-pi, pi], of a quaternion whose x and y are zero, or next to it."""
+    """Return the yaw in [-pi, pi] of a quaternion whose x and y are (nearly) zero."""
     yaw_rad = 2 * math.atan2(z, w)
     return yaw_rad - math.copysign(2 * math.pi, yaw_rad) if abs(yaw_rad) > math.pi else yaw_rad
 
@@ -173,9 +173,9 @@ def yaw_about_z(z: float, w: float) -> float:
 def _camera(log: LogContent, facts: dict[str, Any], frames: Frames) -> dict[str, Any]:
     calibration = _calibration(log)
     if any(value != 0 for value in calibration["D"]):
-        raise DataError(log.path, f"{CALIBRATION} has a distortion; rectify the image first")
+        raise DataError(log.path, f"{CALIBRATION} has a distortion; rectify the image")
     intrinsic = calibration["K"]
-    frame = frame_of(log, IMAGE, log.on(IMAGE)[0])
+    frame = frame_of(log, IMAGE, log.messages_on(IMAGE)[0])
     if frame == WORLD:
         raise DataError(log.path, f"{IMAGE} is in the frame {WORLD!r}; give the camera a frame of its own")
     pose = frames.pose_in_world(frame, _image_time_ns(log))
@@ -198,12 +198,12 @@ def _camera(log: LogContent, facts: dict[str, Any], frames: Frames) -> dict[str,
 
 
 def _image_time_ns(log: LogContent) -> int:
-    return time_ns_of(log.path, IMAGE, log.on(IMAGE)[0])
+    return time_ns_of(log.path, IMAGE, log.messages_on(IMAGE)[0])
 
 
 def _calibration(log: LogContent) -> dict[str, Any]:
-    """The calibration of the image's frame: the only one, or else the newest that is not later than the image."""
-    frame, messages = frame_of(log, IMAGE, log.on(IMAGE)[0]), log.on(CALIBRATION)
+    """The calibration in the image's frame; if they differ, the newest one that is not later than the image."""
+    frame, messages = frame_of(log, IMAGE, log.messages_on(IMAGE)[0]), log.messages_on(CALIBRATION)
     found = [one for one in messages if frame_of(log, CALIBRATION, one) == frame]
     if not found:
         names = sorted({frame_of(log, CALIBRATION, one) for one in messages})
@@ -221,33 +221,33 @@ def _calibration(log: LogContent) -> dict[str, Any]:
 
 
 def _task(log: LogContent, topic: str, frames: Frames) -> dict[str, Any]:
-    """A task pose in the world frame, upright."""
-    messages = log.on(topic)
+    """Start or goal in the world frame, upright."""
+    messages = log.messages_on(topic)
     if not _agree(messages):
         raise DataError(log.path, f"{topic} holds {len(messages)} poses that differ; keep the one of the task")
     message, image_ns = messages[0], _image_time_ns(log)
     given = pose_of(log, topic, message["pose"]["position"], message["pose"]["orientation"])
     frame, own_ns = frame_of(log, topic, message), time_ns_of(log.path, topic, message)
-    around = frames.pose_in_world(frame, image_ns)
-    if frames.knows(frame, own_ns) and not same_pose(around, frames.pose_in_world(frame, own_ns)):
+    outer = frames.pose_in_world(frame, image_ns)
+    if frames.is_connected(frame, own_ns) and not same_pose(outer, frames.pose_in_world(frame, own_ns)):
         raise DataError(
             log.path,
             f"{topic} is given in the frame {frame!r}, which moved between {IMAGE} and that pose; "
             f"give the pose in the frame {WORLD!r}",
         )
-    pose = given.within(around)
+    pose = given.within(outer)
     tilt_rad = math.acos(min(max(float(pose.rotation.as_matrix()[2, 2]), -1.0), 1.0))
-    if tilt_rad > MOST_TILT_RAD:
+    if tilt_rad > MAX_TILT_RAD:
         raise DataError(
             log.path,
             f"{topic} is tilted by {math.degrees(tilt_rad):.4g} degrees in the frame {WORLD!r}; give a pose that is "
-            f"upright (z up) within {math.degrees(MOST_TILT_RAD):g} degrees, the tool only turns about the vertical",
+            f"upright (z up) within {math.degrees(MAX_TILT_RAD):g} degrees, the tool rotates about the vertical only",
         )
     return {"position_m": pose.position_m.tolist(), "yaw_rad": yaw_about_z(*map(float, pose.quaternion[2:]))}
 
 
 def _agree(messages: list[dict[str, Any]]) -> bool:
-    """Whether messages say the same at different times."""
+    """Whether messages are equal except for their timestamps."""
     return all({**one, "timestamp": None} == {**messages[0], "timestamp": None} for one in messages)
 
 

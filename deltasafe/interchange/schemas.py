@@ -1,6 +1,6 @@
-"""What is said on each topic: Foxglove's message schemas by their names and fields, in JSON; and two of our own.
+"""JSON schemas of the messages: Foxglove's, by name and fields, and two of our own.
 
-Viewers know a message by the name of its schema (https://docs.foxglove.dev/docs/sdk/schemas).
+Viewers identify a message by the name of its schema (https://docs.foxglove.dev/docs/sdk/schemas).
 """
 
 from typing import Any

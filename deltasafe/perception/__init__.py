@@ -9,7 +9,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, load_ensemble
+    from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, golden_difference, load_ensemble
+    from deltasafe.perception.calibration.delta_support import require_supported_delta
     from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, GateThresholds, gate
     from deltasafe.perception.data.augmentation.settings import AugmentationSettings
     from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
@@ -37,13 +38,16 @@ __all__ = [
     "evaluate_ensemble",
     "freeze_ensemble",
     "gate",
+    "golden_difference",
     "load_ensemble",
     "read_rgb",
+    "require_supported_delta",
     "train_ensemble",
 ]
 
 _HOMES = {
-    "artifact.frozen_ensemble": ["FrozenEnsemble", "load_ensemble"],
+    "artifact.frozen_ensemble": ["FrozenEnsemble", "golden_difference", "load_ensemble"],
+    "calibration.delta_support": ["require_supported_delta"],
     "calibration.report": ["CalibrationReport", "CalibrationSettings", "GateThresholds", "gate"],
     "data.augmentation.settings": ["AugmentationSettings"],
     "data.augmented_set": ["AugmentedSet", "augment_images"],

@@ -1,1 +1,1 @@
-"""Trials: logged scenes taken through the chain, from the image to the executed motion and the evidence about it."""
+"""Steps of the chain on logged scenes: occupancy fields, motions, executions, safety report."""

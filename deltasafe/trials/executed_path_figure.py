@@ -1,4 +1,4 @@
-"""An executed motion over the image it was planned from, and its clearance, tracking and speed against their limits."""
+"""Figure of an executed motion: over the image that it was planned from, with clearance, tracking error and speed."""
 
 import pathlib
 
@@ -12,23 +12,13 @@ from deltasafe.errors import SettingsError
 from deltasafe.execution.recording import Execution
 from deltasafe.geometry import yaw_of
 from deltasafe.planning import PlannedMotion
-from deltasafe.reporting.over_image import (
-    CLEAR,
-    INK,
-    LIMIT,
-    SIGNAL,
-    draw_delta_contour,
-    draw_speed,
-    finish_image,
-    finish_plots,
-    image_and_plots,
-    mark_ends,
-)
+from deltasafe.reporting import over_image
+from deltasafe.reporting.over_image import CLEAR, INK, LIMIT, SIGNAL
 from deltasafe.reporting.panels import save
 from deltasafe.scene import Camera
 from deltasafe.trials.motion_figure import body_outlines
 
-__all__ = ["executed_over_image", "way_of_samples_m"]
+__all__ = ["arc_length_of_samples_m", "executed_over_image"]
 
 Array = NDArray[np.float64]
 
@@ -42,23 +32,25 @@ def executed_over_image(
     destination: str | pathlib.Path,
     title: str = "",
 ) -> None:
-    """Draw what was executed beside what was planned.
+    """Draw an executed motion with its plan.
 
-    Left: the image with the contour of delta, the planned way (white), the executed one colored by its speed, the tool
-    where it came closest to the true hand. Right, over the planned way: distance to the true hand and to what the plan
-    took for unsafe; the tracking error under its bound; the speed under its limit.
+    Left: the image with the contour of delta, the planned path (white), the executed path colored by speed, and the
+    tool at its closest pose to the true hand. Right, over the planned arc length: distance to the true hand and planned
+    clearance, tracking error and bound, speed and limit.
 
     Args:
-        rgb: (H, W, 3) uint8; p_occupied_image (H, W); both of the camera's size.
-        motion: with a trajectory; execution: of it.
-        destination: file to write, atomically; the suffix chooses the format.
+        rgb: (H, W, 3) uint8, of the camera's size.
+        p_occupied_image: (H, W), of the camera's size.
+        motion: with a trajectory.
+        execution: of this motion.
+        destination: file that is written atomically; the suffix selects the format.
 
     Raises:
         SettingsError: images and camera differ in size, or the motion has no trajectory.
     """
-    figure, image, axes = image_and_plots(rgb, p_occupied_image, camera)
+    figure, image, axes = over_image.image_and_plots(rgb, p_occupied_image, camera)
     if motion.profile is None:
-        raise SettingsError(f"there is no motion to have been executed: {motion.reason}")
+        raise SettingsError(f"there is no motion to draw: {motion.reason}")
     speed = _speed_mps(execution)
     _draw_image(figure, image, p_occupied_image, camera, motion, execution, speed)
     _draw_limits(axes, motion, execution, speed)
@@ -67,15 +59,15 @@ def executed_over_image(
     save(figure, destination)
 
 
-def way_of_samples_m(execution: Execution) -> Array:
-    """(N,) way of the reference at each sample, from the start of the motion on; a stopped arm has no way left."""
+def arc_length_of_samples_m(execution: Execution) -> Array:
+    """Return (N,) arc length of the reference at each sample from the start of the motion; constant after a stop."""
     steps = np.linalg.norm(np.diff(execution.reference_poses[:, :3], axis=0), axis=1)
     steps[~(execution.judged[1:] & execution.judged[:-1])] = 0.0
     return np.append(0.0, np.cumsum(steps))
 
 
 def _speed_mps(execution: Execution) -> Array:
-    """(N,) measured speed of the tool's fastest point, as the schedule counts it: |dx| + rho_max |turn|."""
+    """(N,) measured speed of the tool's fastest point, as in the schedule: |dx| + rho_max |dyaw|."""
     if len(execution.time_s) < 2:
         return np.zeros(len(execution.time_s))
     linear = np.linalg.norm(np.gradient(execution.tool_positions_m, execution.time_s, axis=0), axis=1)
@@ -93,11 +85,13 @@ def _draw_image(
     speed: Array,
 ) -> None:
     judged = execution.judged
-    level = draw_delta_contour(ax, p_occupied_image, motion.settings.delta)
+    level = over_image.draw_delta_contour(ax, p_occupied_image, motion.settings.delta)
     planned, _ = camera.project(execution.reference_poses[judged, :3])
-    driven, _ = camera.project(execution.tool_positions_m[judged])
+    executed, _ = camera.project(execution.tool_positions_m[judged])
     ax.plot(*planned.T, color="white", lw=5.0, solid_capstyle="round")
-    draw_speed(figure, ax, driven, speed[judged], motion.settings.v_max_mps, "executed speed", linewidths=3.0)
+    over_image.draw_speed(
+        figure, ax, executed, speed[judged], motion.settings.v_max_mps, "executed speed", linewidths=3.0
+    )
     closest = int(np.argmin(np.where(judged, execution.tool_to_hand_m, np.inf)))
     pose = np.append(execution.tool_positions_m[closest], yaw_of(execution.tool_quaternions[closest]))
     edge, _ = camera.project(body_outlines(pose[None], execution.body)[0])
@@ -106,10 +100,10 @@ def _draw_image(
     nearest_mm = 1000 * execution.tool_to_hand_m[closest]
     handles = [
         level,
-        Line2D([], [], color=INK, lw=1.4, label=f"the tool where it came closest, {nearest_mm:.1f} mm"),
-        *mark_ends(ax, planned),
+        Line2D([], [], color=INK, lw=1.4, label=f"tool at its closest pose, {nearest_mm:.1f} mm"),
+        *over_image.mark_ends(ax, planned),
     ]
-    finish_image(ax, handles, camera)
+    over_image.finish_image(ax, handles, camera)
     if execution.stop_reason:
         ax.set_title(f"stopped by the monitor: {execution.stop_reason}", color=LIMIT, fontsize=9, loc="left")
 
@@ -117,18 +111,18 @@ def _draw_image(
 def _draw_limits(axes: list[Axes], motion: PlannedMotion, execution: Execution, speed: Array) -> None:
     profile, settings, judged = motion.profile, motion.settings, execution.judged
     assert profile is not None
-    way, planned = 1000 * way_of_samples_m(execution)[judged], 1000 * profile.arc_length_m
+    arc_mm, planned_mm = 1000 * arc_length_of_samples_m(execution)[judged], 1000 * profile.arc_length_m
     clear, error, fast = axes
-    clear.plot(way, 1000 * execution.tool_to_hand_m[judged], color=CLEAR, lw=1.8, label="to the true hand")
-    clear.plot(planned, 1000 * profile.clearance_m, color=INK, lw=1.1, ls="--", label="planned clearance $d_o$")
+    clear.plot(arc_mm, 1000 * execution.tool_to_hand_m[judged], color=CLEAR, lw=1.8, label="to the true hand")
+    clear.plot(planned_mm, 1000 * profile.clearance_m, color=INK, lw=1.1, ls="--", label="planned clearance $d_o$")
     clear.set(ylabel="distance [mm]", ylim=(0, None))
     allowed = motion.tracking.error_m(np.maximum(execution.reference_speed_mps[judged], settings.v_min_mps))
-    error.plot(way, 1000 * execution.workspace_error_m[judged], color=SIGNAL, lw=1.4, label="tracking error")
-    error.plot(way, 1000 * allowed, color=LIMIT, lw=1.3, ls="--", label=r"bound $\gamma(v)$")
+    error.plot(arc_mm, 1000 * execution.workspace_error_m[judged], color=SIGNAL, lw=1.4, label="tracking error")
+    error.plot(arc_mm, 1000 * allowed, color=LIMIT, lw=1.3, ls="--", label=r"bound $\gamma(v)$")
     error.set_yscale("log")
     error.set_ylabel("error [mm]")
-    fast.plot(planned, 1000 * profile.limit_mps, color=LIMIT, lw=1.3, ls="--", label="limit $v^*$")
-    fast.plot(planned, 1000 * profile.speed_mps, color=INK, lw=1.0, ls=":", label="scheduled")
-    fast.plot(way, 1000 * speed[judged], color=SIGNAL, lw=1.6, label="executed")
-    fast.set(ylabel="speed [mm/s]", xlabel="way along the path [mm]", ylim=(0, 1080 * settings.v_max_mps))
-    finish_plots(axes)
+    fast.plot(planned_mm, 1000 * profile.limit_mps, color=LIMIT, lw=1.3, ls="--", label="limit $v^*$")
+    fast.plot(planned_mm, 1000 * profile.speed_mps, color=INK, lw=1.0, ls=":", label="scheduled")
+    fast.plot(arc_mm, 1000 * speed[judged], color=SIGNAL, lw=1.6, label="executed")
+    fast.set(ylabel="speed [mm/s]", xlabel="arc length of the path [mm]", ylim=(0, 1080 * settings.v_max_mps))
+    over_image.finish_plots(axes)

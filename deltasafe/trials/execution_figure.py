@@ -1,24 +1,22 @@
-"""One execution over time: clearance to the true hand, tracking error against its bound, speed."""
+"""Figure of an execution over time: distance to the true hand, tracking error with its bound, speed."""
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from deltasafe.execution.recording import Execution
-from deltasafe.planning.tracking_bound import TrackingBound
+from deltasafe.planning import MotionSettings
 
 __all__ = ["execution_figure"]
 
 _TOOL, _ARM, _BOUND, _ERROR = "#1f6fb2", "#8a8d91", "#c8452d", "#1f6fb2"
 
 
-def execution_figure(
-    execution: Execution, bound: TrackingBound, *, min_speed_mps: float = 0.01, title: str = ""
-) -> Figure:
-    """Three panels over time; the judged part (rest at the start to rest at the goal) is unshaded.
+def execution_figure(execution: Execution, settings: MotionSettings, title: str = "") -> Figure:
+    """Return three panels over time; approach and retreat are shaded.
 
     Args:
         execution: the recording.
-        bound: gamma, drawn at max(v, min_speed_mps).
+        settings: of the motion; the bound is drawn as gamma(max(v, v_min)).
         title: above the figure, usually the scene.
     """
     figure = Figure(figsize=(8, 7), layout="constrained")
@@ -32,9 +30,10 @@ def execution_figure(
         distance.plot(time_s[touched], np.zeros(touched.sum()), "x", color=_BOUND, label="contact")
     distance.set_ylabel("distance to\nthe hand [mm]")
     distance.set_ylim(bottom=0 if not touched.any() else -8)
-    allowed = bound.error_m(np.maximum(execution.reference_speed_mps, min_speed_mps)) * 1e3
+    v_min_mps = settings.v_min_mps
+    allowed = settings.tracking.error_m(np.maximum(execution.reference_speed_mps, v_min_mps)) * 1e3
     error.plot(time_s, execution.workspace_error_m * 1e3, color=_ERROR, label="executed")
-    error.plot(time_s, allowed, color=_BOUND, linestyle="--", label=rf"bound $\gamma(\max(v, {min_speed_mps:g}))$")
+    error.plot(time_s, allowed, color=_BOUND, linestyle="--", label=rf"bound $\gamma(\max(v, {v_min_mps:g}))$")
     error.set_yscale("log")
     error.set_ylim(bottom=1e-2)
     error.set_ylabel("workspace error [mm]")

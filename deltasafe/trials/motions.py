@@ -1,5 +1,6 @@
 """A delta-safe motion for each logged scene, or the reason why there is none."""
 
+import dataclasses
 import pathlib
 from collections.abc import Sequence
 
@@ -11,25 +12,40 @@ from deltasafe.planning import MotionSettings, PlannedMotion, plan_motion
 from deltasafe.planning.audit import Audit, verify_motion
 from deltasafe.scene import LoggedScene
 from deltasafe.trials.motion_figure import plan_over_image
-from deltasafe.trials.occupancy_fields import load_occupancy_grid, load_p_occupied, load_seen
+from deltasafe.trials.occupancy_fields import load_image_stamp, load_occupancy_grid, load_p_occupied
 
-__all__ = ["audit_motions", "load_motion", "plan_scenes"]
+__all__ = ["PlannedScenes", "audit_motions", "load_motion", "plan_scenes"]
+
+
+@dataclasses.dataclass(frozen=True)
+class PlannedScenes:
+    """Logged scenes with the folders of their occupancy fields and motions.
+
+    Attributes:
+        scenes: in order.
+        fields: folder that `write_fields` wrote.
+        motions: folder that `plan_scenes` wrote.
+    """
+
+    scenes: Sequence[LoggedScene]
+    fields: pathlib.Path
+    motions: pathlib.Path
 
 
 def plan_scenes(
     scenes: Sequence[LoggedScene],
-    fields: str | pathlib.Path,
-    folder: str | pathlib.Path,
+    fields: pathlib.Path,
+    folder: pathlib.Path,
     settings: MotionSettings,
     calibration: Calibration,
     seed: int,
     progress: Progress = silent,
 ) -> dict[str, PlannedMotion]:
-    """Plan every scene into `SCENE/` with a picture `SCENE/plan.png`; the folder appears as a whole.
+    """Plan every scene; write `SCENE/` with an image `SCENE/plan.png` into ``folder``, which appears atomically.
 
     Args:
-        fields: folder of `write_fields`.
-        calibration: of the ensemble that made the fields.
+        fields: folder that `write_fields` wrote.
+        calibration: of the ensemble that predicted the fields.
         seed: of the search; scene k uses seed + k.
 
     Raises:
@@ -40,7 +56,7 @@ def plan_scenes(
     with atomic_folder(folder) as temporary:
         for index, scene in enumerate(scenes):
             grid = load_occupancy_grid(fields, scene.id)
-            stamp = load_seen(fields, scene.id)
+            stamp = load_image_stamp(fields, scene.id)
             motion = plan_motion(grid, scene.start, scene.goal, settings, seed + index, stamp)
             motion.save(temporary / scene.id)
             plan_over_image(
@@ -48,9 +64,8 @@ def plan_scenes(
                 load_p_occupied(fields, scene.id),
                 scene.camera,
                 motion,
-                motion.body,
-                settings.delta,
                 temporary / scene.id / "plan.png",
+                scene.table_z_m,
             )
             motions[scene.id] = motion
             outcome = f"{motion.trajectory.duration_s:.1f} s" if motion.trajectory else motion.reason
@@ -58,18 +73,16 @@ def plan_scenes(
     return motions
 
 
-def load_motion(folder: str | pathlib.Path, scene_id: str) -> PlannedMotion:
-    """The planned motion of a scene.
+def load_motion(folder: pathlib.Path, scene_id: str) -> PlannedMotion:
+    """Load the planned motion of a scene.
 
     Raises:
         DataError: there is none in ``folder``.
     """
-    return PlannedMotion.load(pathlib.Path(folder) / scene_id)
+    return PlannedMotion.load(folder / scene_id)
 
 
-def audit_motions(
-    scenes: Sequence[LoggedScene], fields: str | pathlib.Path, motions: str | pathlib.Path
-) -> dict[str, Audit]:
+def audit_motions(scenes: Sequence[LoggedScene], fields: pathlib.Path, motions: pathlib.Path) -> dict[str, Audit]:
     """Audit the motion of each scene that has a trajectory."""
     audits = {}
     for scene in scenes:

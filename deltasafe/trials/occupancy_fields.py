@@ -1,4 +1,4 @@
-"""What the ensemble sees in each logged scene, and the occupancy field that follows from it."""
+"""Predicted occupancy probabilities of each logged scene, and the occupancy grid that is extruded from them."""
 
 import pathlib
 from collections.abc import Sequence
@@ -16,17 +16,17 @@ from deltasafe.scene import FieldSettings, ImageStamp, LoggedScene, OccupancyGri
 if TYPE_CHECKING:
     from deltasafe.perception.inference.ensemble import Ensemble
 
-__all__ = ["load_occupancy_grid", "load_p_occupied", "load_seen", "missed_hand", "write_fields"]
+__all__ = ["load_image_stamp", "load_occupancy_grid", "load_p_occupied", "missed_hand", "write_fields"]
 
 
 def write_fields(
     ensemble: "Ensemble",
     scenes: Sequence[LoggedScene],
-    folder: str | pathlib.Path,
+    folder: pathlib.Path,
     settings: FieldSettings,
     progress: Progress = silent,
 ) -> None:
-    """For each scene `p_occupied.npy` (H, W) float32, `grid.npz` and, which image it was, `seen.json`; whole or not.
+    """Write `p_occupied.npy` (H, W) float32, `grid.npz` and the image stamp `seen.json` of each scene, atomically.
 
     Raises:
         DataError: an image is unreadable or not of its camera's size.
@@ -46,40 +46,40 @@ def write_fields(
             grid = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, settings)
             grid.save(temporary / scene.id / "grid.npz")
             write_json(temporary / scene.id / "seen.json", ImageStamp.of(rgb))
-            progress(done, len(scenes), f"looked at {scene.id}")
+            progress(done, len(scenes), f"predicted {scene.id}")
 
 
-def load_occupancy_grid(folder: str | pathlib.Path, scene_id: str) -> OccupancyGrid:
-    """The occupancy field of a scene.
+def load_occupancy_grid(folder: pathlib.Path, scene_id: str) -> OccupancyGrid:
+    """Load the occupancy grid of a scene.
 
     Raises:
         DataError: there is none in ``folder``.
     """
-    return OccupancyGrid.load(pathlib.Path(folder) / scene_id / "grid.npz")
+    return OccupancyGrid.load(folder / scene_id / "grid.npz")
 
 
-def load_seen(folder: str | pathlib.Path, scene_id: str) -> ImageStamp:
-    """Which image the field of a scene was made from.
+def load_image_stamp(folder: pathlib.Path, scene_id: str) -> ImageStamp:
+    """Load the stamp of the image that the field of a scene was made from.
 
     Raises:
-        DataError: that is not written there.
+        DataError: there is none in ``folder``.
     """
-    file = pathlib.Path(folder) / scene_id / "seen.json"
+    file = folder / scene_id / "seen.json"
     try:
         return ImageStamp(**read_json(file))
     except (TypeError, ValueError) as error:
         if isinstance(error, DataError):
             raise
-        raise DataError(file, f"names no image ({error}); make the occupancy fields again") from error
+        raise DataError(file, f"is not an image stamp ({error}); make the occupancy fields again") from error
 
 
-def load_p_occupied(folder: str | pathlib.Path, scene_id: str) -> NDArray[np.float32]:
-    """(H, W) float32: what the ensemble saw in the image of a scene.
+def load_p_occupied(folder: pathlib.Path, scene_id: str) -> NDArray[np.float32]:
+    """Load p_occupied (H, W) float32 of the image of a scene.
 
     Raises:
         DataError: there is none in ``folder``.
     """
-    file = pathlib.Path(folder) / scene_id / "p_occupied.npy"
+    file = folder / scene_id / "p_occupied.npy"
     try:
         stored: NDArray[np.float32] = np.load(file, allow_pickle=False)
     except (OSError, EOFError, ValueError, MemoryError) as error:
@@ -87,18 +87,18 @@ def load_p_occupied(folder: str | pathlib.Path, scene_id: str) -> NDArray[np.flo
     return stored
 
 
-def missed_hand(scenes: Sequence[LoggedScene], folder: str | pathlib.Path, delta: float) -> dict[str, float]:
-    """Share of each scene's true hand that a planner would take for free (p_occupied <= delta), by scene.
+def missed_hand(scenes: Sequence[LoggedScene], folder: pathlib.Path, delta: float) -> dict[str, float]:
+    """Return the miss rate of each scene: the fraction of the true hand's pixels with p_occupied <= delta.
 
-    For judging alone: the true mask is what neither the ensemble nor the planner has.
+    For evaluation only: neither the ensemble nor the planner has the true mask.
 
     Raises:
         DataError: a mask is unreadable, or shows no hand.
     """
-    shares = {}
+    rates = {}
     for scene in scenes:
         mask, p_occupied = read_mask(scene.mask_path), load_p_occupied(folder, scene.id)
         if mask.shape != p_occupied.shape:
             raise DataError(scene.mask_path, f"is {mask.shape}, the image {p_occupied.shape} pixels; restore it")
-        shares[scene.id] = float((p_occupied[mask > 0] <= delta).mean())
-    return shares
+        rates[scene.id] = float((p_occupied[mask > 0] <= delta).mean())
+    return rates

@@ -1,4 +1,4 @@
-"""All scenes at a glance, with what the ensemble saw in them."""
+"""Contact sheets: predictions of all scenes, and tiled images."""
 
 import pathlib
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ __all__ = ["overview", "tile_pictures"]
 def overview(
     scenes: Sequence[LoggedScene], fields: pathlib.Path, delta: float, destination: pathlib.Path, columns: int = 5
 ) -> pathlib.Path:
-    """All scenes side by side, each with what the ensemble saw in it; a JPEG, returned.
+    """Write the prediction of every scene to one JPEG; return its path.
 
     Args:
-        fields: folder of `deltasafe.trials.occupancy_fields.write_fields`.
-        delta: threshold of the border that is drawn.
+        fields: folder that `deltasafe.trials.occupancy_fields.write_fields` wrote.
+        delta: level of the drawn contour.
     """
     tiles = []
     for scene in scenes:
@@ -39,12 +39,12 @@ def overview(
 
 
 def tile_pictures(pictures: Sequence[pathlib.Path], destination: pathlib.Path, columns: int = 3) -> None:
-    """Pictures of one size on one sheet, each 640 pixels wide; a JPEG."""
+    """Write images of one size as tiles, 640 pixels wide, to one JPEG."""
     tiles = []
     for path in pictures:
         picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR_RGB)
         if picture is None:
-            raise DataError(path, "is not a picture; make it again")
+            raise DataError(path, "is not an image; make it again")
         height = round(640 * picture.shape[0] / picture.shape[1])
         tiles.append(cv2.resize(picture, (640, height), interpolation=cv2.INTER_AREA))
     _write_sheet(tiles, columns, destination, ground=255, quality=80)
@@ -53,7 +53,7 @@ def tile_pictures(pictures: Sequence[pathlib.Path], destination: pathlib.Path, c
 def _write_sheet(
     tiles: Sequence[NDArray[Any]], columns: int, destination: pathlib.Path, *, ground: int, quality: int
 ) -> None:
-    """Tiles (H, W, 3) of one width, row by row, on a ground of one gray."""
+    """Write tiles (H, W, 3) of one width, row by row, on a gray background."""
     height, width = max(len(tile) for tile in tiles), tiles[0].shape[1]
     columns = min(columns, len(tiles))
     sheet = np.full((-(-len(tiles) // columns) * height, columns * width, 3), ground, np.uint8)

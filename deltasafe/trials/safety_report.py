@@ -1,4 +1,4 @@
-"""What became of every scene, and the figures of all of them together."""
+"""Safety report: outcome of every scene, and figures over all of them."""
 
 import dataclasses
 import pathlib
@@ -11,14 +11,14 @@ __all__ = ["SafetyReport", "SceneReport", "read_figures"]
 
 @dataclasses.dataclass(frozen=True)
 class SceneReport:
-    """What became of one scene.
+    """Outcome of one scene.
 
     Attributes:
         outcome: `executed`, or why not.
-        verdict: None unless it was executed.
+        verdict: None if the motion was not executed.
         cost, length_m, duration_s: of the planned motion; None without one. ``cost_squared_m2`` and ``area_m2`` are
-            the same path under the paper's two cost functions.
-        film: name of the film beside the report, empty if there is none.
+            the costs of the same path by the paper's two cost functions.
+        film: file name of the film beside the report; empty without one.
     """
 
     scene_id: str
@@ -34,18 +34,18 @@ class SceneReport:
 
 @dataclasses.dataclass(frozen=True)
 class SafetyReport:
-    """All scenes, and the settings that they were judged with."""
+    """Outcomes of all scenes at one delta."""
 
     delta: float
     scenes: tuple[SceneReport, ...]
 
     @property
     def verdicts(self) -> list[SafetyVerdict]:
-        """Of the scenes that were executed."""
+        """Verdicts of the executed scenes."""
         return [scene.verdict for scene in self.scenes if scene.verdict is not None]
 
     def figures(self) -> dict[str, float]:
-        """The figures of all executions together, by short name; lengths in meters."""
+        """Return the figures over all executions by name; lengths in meters."""
         verdicts = self.verdicts
         found: dict[str, float] = {
             "scenes": len(self.scenes),
@@ -74,9 +74,9 @@ class SafetyReport:
 
 
 def read_figures(folder: str | pathlib.Path) -> dict[str, float]:
-    """The figures of a report that was written to ``folder``.
+    """Load the figures of the report in ``folder``.
 
     Raises:
-        DataError: there is none.
+        DataError: ``folder`` holds no report.
     """
     return dict(read_json(pathlib.Path(folder) / "report.json")["figures"])

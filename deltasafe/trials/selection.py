@@ -1,4 +1,4 @@
-"""Which logged scenes take part: fixed once and kept together, so that later steps agree about it, on any machine."""
+"""Selection of logged scenes, copied into one folder, so that all later steps use the same ones on any machine."""
 
 import os
 import pathlib
@@ -13,9 +13,9 @@ __all__ = ["load_selection", "select_scene", "select_scenes"]
 
 
 def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> tuple[LoggedScene, ...]:
-    """Check the scenes below ``source`` and put the first ``n_scenes`` (0: all) of them into ``folder``.
+    """Check the scenes below ``source`` and write the first ``n_scenes`` (0: all) to ``folder``.
 
-    Files are linked where the file system can (no room is taken), and copied elsewhere.
+    Files are hard links if the file system allows it, else copies.
 
     Raises:
         DataError: a scene is defective, or there is none.
@@ -30,14 +30,14 @@ def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> 
 
 
 def select_scene(source: pathlib.Path, folder: pathlib.Path) -> LoggedScene:
-    """Check the one scene in ``source`` and put it into ``folder``.
+    """Check the scene in ``source`` and write it to ``folder``.
 
     Raises:
-        DataError: it is defective, or its id is not the name of its folder.
+        DataError: the scene is defective, or its id is not the name of its folder.
     """
     scene = LoggedScene.load(source)
     if scene.id != source.name:
-        raise DataError(source, f"holds the scene {scene.id!r}; give the folder that name")
+        raise DataError(source, f"holds the scene {scene.id!r}; rename the folder to that id")
     _write((scene,), folder)
     return scene
 
@@ -55,15 +55,15 @@ def _write(scenes: Sequence[LoggedScene], folder: pathlib.Path) -> None:
 def _link(source: str, destination: str) -> None:
     try:
         os.link(pathlib.Path(source).resolve(), destination)
-    except OSError:  # another file system, or one without links
+    except OSError:
         shutil.copyfile(source, destination)
 
 
 def load_selection(folder: pathlib.Path) -> tuple[LoggedScene, ...]:
-    """The scenes that `select_scenes` chose.
+    """Load the scenes that `select_scenes` or `select_scene` wrote.
 
     Raises:
-        DataError: a scene is gone or its image was replaced since.
+        DataError: a scene is missing, or its image was replaced.
     """
     scenes = []
     for entry in read_json(folder / "scenes.json"):

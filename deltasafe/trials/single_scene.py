@@ -1,15 +1,15 @@
-"""One logged scene through the steps of the many: seen and planned in one folder, executed and judged in another."""
+"""The steps of the chain for one logged scene: prediction and plan in one folder, execution and report in another."""
 
 import pathlib
 
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.execution.simulate import ExecutionSettings
+from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.io.storage import atomic_folder
 from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
 from deltasafe.planning import MotionSettings, PlannedMotion
 from deltasafe.scene import FieldSettings
 from deltasafe.trials.executions import execute_scenes
-from deltasafe.trials.motions import load_motion, plan_scenes
+from deltasafe.trials.motions import PlannedScenes, load_motion, plan_scenes
 from deltasafe.trials.occupancy_fields import write_fields
 from deltasafe.trials.safety_report import SafetyReport
 from deltasafe.trials.selection import load_selection
@@ -27,12 +27,12 @@ def plan_scene(
     seed: int,
     progress: Progress = silent,
 ) -> PlannedMotion:
-    """What the frozen ``ensemble`` sees in the scene of ``selection``, and a motion through it.
+    """Predict the occupancy of a scene and plan its motion.
 
     Args:
-        selection: folder of `select_scene`.
+        selection: folder that `select_scene` wrote.
         ensemble: folder of a frozen ensemble.
-        folder: gets ``fields/`` and ``motions/``, whole or not at all.
+        folder: gets ``fields/`` and ``motions/``, atomically.
 
     Raises:
         SettingsError: the ensemble's calibration does not support the delta of ``motion``.
@@ -54,16 +54,14 @@ def execute_scene(
     seed: int,
     progress: Progress = silent,
 ) -> SafetyReport:
-    """The motion of `plan_scene` on the simulated arm, and the verdict.
+    """Execute the motion of `plan_scene` on the simulated arm, and write the safety report.
 
     Args:
-        planned: folder of `plan_scene`.
-        folder: gets ``executions/`` and ``report/``, whole or not at all.
+        planned: folder that `plan_scene` wrote.
+        folder: gets ``executions/`` and ``report/``, atomically.
     """
-    scenes, fields, motions = load_selection(selection), planned / "fields", planned / "motions"
+    scenes = PlannedScenes(load_selection(selection), planned / "fields", planned / "motions")
     with atomic_folder(folder) as temporary:
         executions = temporary / "executions"
-        execute_scenes(scenes, fields, motions, executions, settings, seed, progress=progress)
-        return write_safety_report(
-            scenes, fields, motions, executions, temporary / "report", n_films=0, progress=progress
-        )
+        execute_scenes(scenes, executions, settings, seed, progress=progress)
+        return write_safety_report(scenes, executions, temporary / "report", n_films=0, progress=progress)

@@ -1,13 +1,11 @@
-"""The safety report on disk: judged, drawn, filmed and written as one folder."""
+"""Write the safety report of all executions: evaluation, figures and films, as one folder."""
 
 import dataclasses
 import pathlib
 import shutil
-from collections.abc import Sequence
 
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.execution.film import save_film
-from deltasafe.execution.verdict import SafetyVerdict, judge
+from deltasafe.execution import SafetyVerdict, evaluate_execution, save_film
 from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.planning import PlannedMotion
@@ -15,7 +13,7 @@ from deltasafe.scene import LoggedScene
 from deltasafe.trials.executed_path_figure import executed_over_image
 from deltasafe.trials.execution_figure import execution_figure
 from deltasafe.trials.executions import load_execution, load_outcomes
-from deltasafe.trials.motions import load_motion
+from deltasafe.trials.motions import PlannedScenes, load_motion
 from deltasafe.trials.occupancy_fields import load_occupancy_grid, load_p_occupied
 from deltasafe.trials.overview import tile_pictures
 from deltasafe.trials.safety_report import SafetyReport, SceneReport
@@ -25,67 +23,56 @@ __all__ = ["write_safety_report"]
 
 
 def write_safety_report(
-    scenes: Sequence[LoggedScene],
-    fields: pathlib.Path,
-    motions: pathlib.Path,
+    planned: PlannedScenes,
     executions: pathlib.Path,
     folder: pathlib.Path,
     *,
     n_films: int = 3,
     progress: Progress = silent,
 ) -> SafetyReport:
-    """Judge all executions and write reports (JSON, Markdown), pictures and films; whole or not at all.
+    """Evaluate all executions; write reports (JSON, Markdown), figures and films atomically.
 
     Args:
-        fields, motions, executions: folders of `write_fields`, `plan_scenes` and `execute_scenes`.
-        n_films: executions to film, those that came closest to the hand; every one that was not safe is added.
+        executions: folder that `execute_scenes` wrote.
+        n_films: number of filmed executions, those closest to the hand; unsafe ones are filmed in addition.
     """
-    reasons = {outcome.scene_id: outcome for outcome in load_outcomes(executions)}
+    outcomes = {outcome.scene_id: outcome for outcome in load_outcomes(executions)}
+    scenes = planned.scenes
     with atomic_folder(folder) as temporary:
         reports, delta = [], 0.0
         for done, scene in enumerate(scenes, start=1):
-            motion = load_motion(motions, scene.id)
+            motion, outcome = load_motion(planned.motions, scene.id), outcomes[scene.id]
             delta = motion.settings.delta
             verdict = None
-            if reasons[scene.id].executed:
-                verdict = _judge_scene(scene, motion, fields, executions, temporary)
-            shutil.copyfile(motions / scene.id / "plan.png", temporary / f"{scene.id}-plan.png")
-            reports.append(_scene_report(scene, motion, verdict, reasons[scene.id].reason))
-            progress(done, len(scenes), f"judged {scene.id}")
+            if outcome.executed:
+                verdict = _evaluate_scene(scene, motion, planned.fields, executions, temporary)
+            shutil.copyfile(planned.motions / scene.id / "plan.png", temporary / f"{scene.id}-plan.png")
+            reports.append(_scene_report(scene, motion, verdict, outcome.reason))
+            progress(done, len(scenes), f"evaluated {scene.id}")
         filmed = _to_film(reports, n_films)
-        for done, name in enumerate(filmed, start=1):
-            scene = next(scene for scene in scenes if scene.id == name)
-            save_film(
-                temporary / f"{name}.gif",
-                load_execution(executions, name),
-                scene.camera,
-                scene.true_mesh(),
-                table_z_m=scene.table_z_m,
-            )
-            progress(done, len(filmed), f"filmed {name}")
-        reports = [
-            dataclasses.replace(report, film=f"{report.scene_id}.gif" if report.scene_id in filmed else "")
-            for report in reports
-        ]
+        for done, scene in enumerate((scene for scene in scenes if scene.id in filmed), start=1):
+            film = temporary / f"{scene.id}.gif"
+            execution = load_execution(executions, scene.id)
+            save_film(film, execution, scene.camera, scene.true_mesh(), table_z_m=scene.table_z_m)
+            progress(done, len(filmed), f"filmed {scene.id}")
+        films = {name: f"{name}.gif" for name in filmed}
+        reports = [dataclasses.replace(report, film=films.get(report.scene_id, "")) for report in reports]
         report = SafetyReport(delta, tuple(reports))
         write_json(temporary / "report.json", {"figures": report.figures(), **dataclasses.asdict(report)})
         (temporary / "report.md").write_text(safety_markdown(report), encoding="utf-8")
         (temporary / "summary.md").write_text(safety_summary(report), encoding="utf-8")
         tile_pictures([temporary / f"{scene.id}-plan.png" for scene in scenes], temporary / "plans.jpg")
-        driven = [temporary / f"{scene.id}-executed.png" for scene in scenes if reasons[scene.id].executed]
-        if driven:
-            tile_pictures(driven, temporary / "executed.jpg")
+        executed = [temporary / f"{scene.id}-executed.png" for scene in scenes if outcomes[scene.id].executed]
+        if executed:
+            tile_pictures(executed, temporary / "executed.jpg")
     return report
 
 
-def _judge_scene(
+def _evaluate_scene(
     scene: LoggedScene, motion: PlannedMotion, fields: pathlib.Path, executions: pathlib.Path, folder: pathlib.Path
 ) -> SafetyVerdict:
     execution = load_execution(executions, scene.id)
-    grid = load_occupancy_grid(fields, scene.id)
-    v_min_mps = motion.settings.v_min_mps
-    figure = execution_figure(execution, motion.tracking, min_speed_mps=v_min_mps, title=scene.id)
-    figure.savefig(folder / f"{scene.id}-execution.png", dpi=110)
+    execution_figure(execution, motion.settings, scene.id).savefig(folder / f"{scene.id}-execution.png", dpi=110)
     executed_over_image(
         read_rgb(scene.image_path),
         load_p_occupied(fields, scene.id),
@@ -95,14 +82,7 @@ def _judge_scene(
         folder / f"{scene.id}-executed.png",
         title=scene.id,
     )
-    return judge(
-        execution,
-        grid,
-        motion.body,
-        motion.settings.delta,
-        motion.tracking,
-        min_speed_mps=v_min_mps,
-    )
+    return evaluate_execution(execution, load_occupancy_grid(fields, scene.id), motion.settings)
 
 
 def _scene_report(scene: LoggedScene, motion: PlannedMotion, verdict: SafetyVerdict | None, reason: str) -> SceneReport:
@@ -119,9 +99,8 @@ def _scene_report(scene: LoggedScene, motion: PlannedMotion, verdict: SafetyVerd
     )
 
 
-def _to_film(reports: list[SceneReport], n_films: int) -> list[str]:
-    executed = [report for report in reports if report.verdict is not None]
-    closest = sorted(executed, key=lambda report: (report.verdict.min_tool_to_hand_m or 0.0, report.scene_id))  # type: ignore[union-attr]
-    chosen = {report.scene_id for report in closest[:n_films]}
-    chosen |= {report.scene_id for report in executed if not report.verdict.safe}  # type: ignore[union-attr]
-    return sorted(chosen)
+def _to_film(reports: list[SceneReport], n_films: int) -> set[str]:
+    """Scenes of the executions closest to the hand, and of all unsafe ones."""
+    verdicts = {report.scene_id: report.verdict for report in reports if report.verdict is not None}
+    closest = sorted(verdicts, key=lambda name: (verdicts[name].min_tool_to_hand_m or 0.0, name))
+    return {*closest[:n_films], *(name for name, verdict in verdicts.items() if not verdict.safe)}

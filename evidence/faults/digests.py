@@ -38,7 +38,7 @@ def _perception(seed: int, home: pathlib.Path) -> dict[str, str]:
 
 
 def _motion(seed: int) -> dict[str, str]:
-    from deltasafe.execution import ExecutionSettings, execute
+    from deltasafe.execution import ExecutionSettings, MonitorLimits, Workcell, execute
     from deltasafe.geometry import Pose
     from deltasafe.planning import MotionSettings, plan_motion
     from deltasafe.scene import Cuboid, grid_from_shapes
@@ -52,7 +52,8 @@ def _motion(seed: int) -> dict[str, str]:
     plan = hashlib.sha256()
     for array in (motion.trajectory.time_s, motion.trajectory.poses, motion.trajectory.velocities):
         plan.update(array.tobytes())
-    execution = execute(motion.trajectory, None, motion.body, ExecutionSettings(), seed, bound=motion.tracking)
+    limits = MonitorLimits.of(motion.settings)
+    execution = execute(motion.trajectory, Workcell(motion.body), ExecutionSettings(), seed, limits=limits)
     return {"plan": plan.hexdigest(), "execution": execution.digest()}
 
 

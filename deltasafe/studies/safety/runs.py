@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import PlanningError, SettingsError
+from deltasafe.execution import MonitorLimits, Workcell, evaluate_execution
 from deltasafe.execution.recording import Execution
-from deltasafe.execution.simulate import execute, iiwa_for
-from deltasafe.execution.verdict import judge, largest_p_occupied
+from deltasafe.execution.simulate import execute
+from deltasafe.execution.verdict import largest_p_occupied
 from deltasafe.geometry import Trajectory
 from deltasafe.planning import DistanceField, PlanResult, plan
 from deltasafe.scene import LoggedScene, OccupancyGrid, grid_from_image
@@ -208,25 +209,22 @@ class _ScenarioRunner:
 
     def _execute(self, trajectory: Trajectory) -> Execution:
         settings, scene, motion = self.settings, self.scene, self.settings.motion
-        mesh = scene.true_mesh()
         max_error_m = float(motion.tracking.error_m(motion.v_max_mps))
         return execute(
             trajectory,
-            mesh,
-            motion.body,
+            Workcell(motion.body, scene.true_mesh(), scene.table_z_m),
             settings.execution,
             self.scenario.arm_seed,
-            bound=motion.tracking,
+            limits=MonitorLimits.of(motion),
             unsafe_below_m=float(self.grid(False).upper_m[2]) + max_error_m,
-            make_arm=iiwa_for(motion.body, mesh, scene.table_z_m),
         )
 
     def _evaluate(
         self, execution: Execution, trajectory: Trajectory, delta: float, grid: OccupancyGrid
     ) -> dict[str, Any]:
         """Compute the columns of an executed motion."""
-        motion = self.settings.motion
-        verdict = judge(execution, grid, motion.body, delta, motion.tracking, min_speed_mps=motion.v_min_mps)
+        motion = dataclasses.replace(self.settings.motion, delta=delta)
+        verdict = evaluate_execution(execution, grid, motion)
         judged = execution.judged
         tool_m = execution.tool_to_hand_m[judged]
         touching = tool_m <= 0

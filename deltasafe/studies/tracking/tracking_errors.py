@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.execution.simulate import execute
+from deltasafe.execution.workcell import Workcell
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.studies.tracking.settings import TrackingStudySettings
 from deltasafe.studies.tracking.test_motions import draw_motion
@@ -95,7 +96,7 @@ def _record(settings: TrackingStudySettings, seed: int) -> Tracks:
     for _ in range(REDRAWS):
         motion = draw_motion(settings, rng)
         try:
-            run = execute(motion.trajectory, None, settings.body, options, seed)
+            run = execute(motion.trajectory, Workcell(settings.body), options, seed)
         except PlanningError:  # out of reach; a planned motion would be refused as well
             continue
         return Tracks(

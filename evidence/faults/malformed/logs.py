@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 from deltasafe.interchange import export_scene, import_scene
-from deltasafe.interchange.mcap_log import LogWriter, read_log
+from deltasafe.interchange.mcap_log import open_log, read_log
 from deltasafe.interchange.scenes import CALIBRATION, FACTS, GOAL, IMAGE, MASK, MESH, START, TRANSFORM
 from deltasafe.scene import LoggedScene
 from evidence.faults.malformed.files import file_cases, file_changes, filled
@@ -110,11 +110,11 @@ def _edited(edit: Edit) -> Change:
         facts, attachments = copy.deepcopy(whole.facts), dict(whole.attachments)
         edit(messages, facts, attachments)
         path.unlink()
-        with LogWriter(path) as log:
+        with open_log(path) as log:
             for topic, message in messages.items():
-                log.say(topic, SCHEMA[topic], 0, message)
+                log.write_message(topic, SCHEMA[topic], 0, message)
             for name, fact in facts.items():
-                log.note(name, fact)
+                log.write_facts(name, fact)
             for name, data in attachments.items():
                 log.attach(name, "application/octet-stream", data)
 

@@ -1,4 +1,4 @@
-"""Small worlds: a bumpy ball for a hand, rest-to-rest motions."""
+"""A sphere as the hand, and rest-to-rest trajectories."""
 
 import numpy as np
 import pytest
@@ -47,5 +47,5 @@ def ball(center_m, radius_m, rings=24):
 
 @pytest.fixture(scope="session")
 def hand():
-    """Where a hand might lie: below the straight line from start to goal at z = 0.12 m."""
+    """A sphere below the straight line from start to goal at z = 0.12 m."""
     return ball((0.0, -0.02, 0.03), 0.04)

@@ -37,12 +37,12 @@ def test_tool_distance_agrees_with_brute_force(seed, height):
     rotation = Rotation.random(rng=rng).as_matrix()
     distance = MeshDistance(*MESH).to_tool(BODY, position, rotation)
     brute = TREE.query(DENSE @ rotation.T + position)[0].min()
-    # brute force looks at points at most 2 mm apart: never below, and above by what lies sideways of the nearest
+    # the points of the brute force are at most 2 mm apart: it is never below, and above by the lateral offset at most
     assert distance <= brute + 1e-6
     assert brute <= math.hypot(distance, 0.002) + 3e-4
 
 
-def test_closed_forms_over_a_triangle():
+def test_distance_to_a_triangle_in_closed_form():
     mesh = MeshDistance(np.array([[-1, -1, 0], [2, -1, 0], [-1, 2, 0]], dtype=float), np.array([[0, 1, 2]]))
     flat = mesh.to_tool(BODY, np.array([0, 0, 0.1]), np.eye(3))
     assert flat == pytest.approx(0.1 - BODY.thickness_m / 2, abs=1e-7)
@@ -54,8 +54,8 @@ def test_closed_forms_over_a_triangle():
     assert mesh.to_tool(BODY, np.array([0, 0, -0.2]), np.eye(3)) == 0.0  # the shaft goes through
 
 
-def test_the_triangle_between_its_corners_counts():
-    """A large triangle whose corners and center are all far from the tool."""
+def test_the_inside_of_a_large_triangle_counts():
+    """Its corners and its center are far from the tool."""
     corners = np.array([[-0.5, -0.03, 0.0], [0.5, -0.03, 0.0], [0.0, -1.0, 0.0]])
     mesh = MeshDistance(corners, np.array([[0, 1, 2]]))
     assert mesh.to_tool(BODY, np.array([0.3, 0.02, 0.0]), np.eye(3)) == pytest.approx(0.05 - 0.015, abs=1e-6)
@@ -63,8 +63,8 @@ def test_the_triangle_between_its_corners_counts():
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_against_a_general_optimizer(seed):
-    """One triangle against the disc, minimized over both by SLSQP: no shared code, no sampling."""
+def test_tool_distance_agrees_with_slsqp(seed):
+    """Distance of one triangle to the disc, minimized over points of both."""
     rng = np.random.default_rng(seed)
     corners = rng.uniform(-0.1, 0.1, (3, 3)) + np.array([0.2, 0.0, -0.2])
     distance = MeshDistance(corners, np.array([[0, 1, 2]])).to_tool(BODY, np.zeros(3), np.eye(3))
@@ -86,14 +86,14 @@ def test_against_a_general_optimizer(seed):
     assert distance == pytest.approx(math.sqrt(found.fun / 1e3), abs=2e-4)
 
 
-def test_points():
+def test_distance_of_points():
     mesh = MeshDistance(*ball((0, 0, 0), 0.05, rings=60))
     points = np.array([[0.3, 0, 0], [0, 0.11, 0], [0, 0, 0.2]])
     assert mesh.to_points(points) == pytest.approx(0.06, abs=1e-4)
     assert mesh.to_points(np.zeros((0, 3))) == math.inf
 
 
-def test_bad_meshes_are_refused():
+def test_invalid_meshes_are_refused():
     with pytest.raises(SettingsError, match="vertices_m"):
         MeshDistance(np.full((3, 3), np.nan), np.array([[0, 1, 2]]))
     with pytest.raises(SettingsError, match="index"):
@@ -103,8 +103,8 @@ def test_bad_meshes_are_refused():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
-def test_poses_and_points_that_are_not_finite_are_refused(value):
-    """Every comparison with NaN is false: the tool would seem to be infinitely far."""
+def test_nonfinite_poses_and_points_are_refused(value):
+    """Every comparison with NaN is false: the distance would be infinite."""
     mesh = MeshDistance(*MESH)
     for axis in range(3):
         place = np.zeros(3)

@@ -1,15 +1,16 @@
-"""The simulated arm itself."""
+"""The simulated arm."""
 
 import numpy as np
 import pytest
 
 from deltasafe.errors import PlanningError, SettingsError
-from deltasafe.execution import ExecutionSettings, execute
-from deltasafe.execution.iiwa import IiwaArm, JointFriction
+from deltasafe.execution import ExecutionSettings, Workcell, execute
+from deltasafe.execution.iiwa_arm import IiwaArm, JointFriction
 from deltasafe.execution.iiwa_view import ArmView, Viewpoint
 from deltasafe.execution.kinematics import IIWA14_LIMITS
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene.camera import Camera
+from tests.unit.execution.closed_form import tool_pose
 from tests.unit.execution.conftest import BODY, quintic
 
 SETTINGS = ExecutionSettings(approach_m=0.02, settle_s=0.2)
@@ -19,21 +20,24 @@ CAMERA = Camera(640, 480, 768.75, 768.75, 320.0, 240.0, np.array([0, 0, 0.5]), n
 
 @pytest.fixture(scope="module")
 def execution(hand):
-    return execute(ABOVE, hand, BODY, SETTINGS, 3)
+    return execute(ABOVE, Workcell(BODY, hand), SETTINGS, 3)
 
 
-def test_our_kinematics_and_the_simulator_agree():
-    with IiwaArm(BODY) as arm:
+def test_kinematics_agree_with_the_simulator():
+    with IiwaArm(Workcell(BODY)) as arm:
         for seed in range(5):
             q = np.random.default_rng(seed).uniform(-1, 1, 7)
             arm.reset(q)
             state = arm.state()
-            np.testing.assert_allclose(arm.kinematics.tool_position_m(q[None])[0], state.tool_position_m, atol=1e-6)
+            frame = arm._bullet.getLinkState(arm._arm, 7, computeForwardKinematics=1, physicsClientId=arm._client)
+            np.testing.assert_allclose(state.tool_position_m, frame[4], atol=1e-6)
+            np.testing.assert_allclose(abs(state.tool_quaternion @ frame[5]), 1.0, atol=1e-6)
+            np.testing.assert_allclose(tool_pose(q)[0], frame[4], atol=1e-6)
 
 
 def test_the_model_predicts_the_simulator_without_friction():
     friction = JointFriction((0.0,) * 7, (0.0,) * 7, 0.0, 0.0)
-    with IiwaArm(BODY, friction=friction) as arm:
+    with IiwaArm(Workcell(BODY), friction=friction) as arm:
         arm.reset(np.array([0.1, 0.8, 0.2, -1.2, 0.3, 0.9, 0.0]))
         push = np.array([2.0, -3.0, 1.0, 2.0, 0.2, 0.1, 0.002])
         state = arm.state()
@@ -43,7 +47,7 @@ def test_the_model_predicts_the_simulator_without_friction():
         np.testing.assert_allclose(model.mass_matrix @ gained, push, rtol=0.02, atol=2e-4)
 
 
-def test_tracking_stays_within_the_papers_line_and_is_not_perfect(execution):
+def test_tracking_error_is_within_the_papers_bound_and_not_zero(execution):
     error = execution.workspace_error_m[execution.judged]
     speed = execution.reference_speed_mps[execution.judged]
     assert execution.completed
@@ -51,7 +55,7 @@ def test_tracking_stays_within_the_papers_line_and_is_not_perfect(execution):
     assert error.max() > 5e-5
 
 
-def test_nothing_is_touched_and_limits_hold(execution):
+def test_limits_hold_without_contact(execution):
     assert execution.contacts.sum() == 0
     assert execution.tool_to_hand_m.min() > 0.02
     assert execution.arm_to_hand_m.min() > 0.1
@@ -62,21 +66,22 @@ def test_nothing_is_touched_and_limits_hold(execution):
 
 
 def test_a_run_is_a_function_of_its_seed(execution, hand):
-    assert execute(ABOVE, hand, BODY, SETTINGS, 3).digest() == execution.digest()
-    assert execute(ABOVE, hand, BODY, SETTINGS, 4).digest() != execution.digest()
+    cell = Workcell(BODY, hand)
+    assert execute(ABOVE, cell, SETTINGS, 3).digest() == execution.digest()
+    assert execute(ABOVE, cell, SETTINGS, 4).digest() != execution.digest()
 
 
-def test_driving_into_the_hand_is_felt_and_stopped(hand):
-    run = execute(quintic((-0.08, -0.02, 0.05, 0), (0.08, -0.02, 0.05, 0), 2.0), hand, BODY, SETTINGS, 0)
+def test_a_collision_with_the_hand_stops_the_arm(hand):
+    into_the_hand = quintic((-0.08, -0.02, 0.05, 0), (0.08, -0.02, 0.05, 0), 2.0)
+    run = execute(into_the_hand, Workcell(BODY, hand), SETTINGS, 0)
     assert run.contacts.sum() > 0
-    assert run.tool_to_hand_m.min() < 0.0015  # the physics pads the tool by 1 mm
+    assert run.tool_to_hand_m.min() < 0.0015  # PyBullet pads the tool by 1 mm
     assert "workspace error" in run.stop_reason
-    assert run.tool_positions_m[:, 0].max() < 0.0  # it did not push through the ball
+    assert run.tool_positions_m[:, 0].max() < 0.0  # it did not penetrate the sphere
 
 
-def test_distance_and_contact_agree(hand):
-    """The physics counts a contact exactly where the distance is next to nothing."""
-    run = execute(quintic((0, -0.02, 0.085, 0), (0, -0.02, 0.06, 0), 1.0), hand, BODY, SETTINGS, 0)
+def test_the_first_contact_is_where_the_distance_vanishes(hand):
+    run = execute(quintic((0, -0.02, 0.085, 0), (0, -0.02, 0.06, 0), 1.0), Workcell(BODY, hand), SETTINGS, 0)
     first = int(np.argmax(run.contacts > 0))
     assert run.contacts[first] > 0
     assert run.tool_to_hand_m[first] < 0.0015
@@ -85,20 +90,21 @@ def test_distance_and_contact_agree(hand):
 
 def test_links_must_stay_above_the_field(hand):
     with pytest.raises(PlanningError, match=r"a link of the arm comes down to 0\.3\d+ m"):
-        execute(ABOVE, hand, BODY, SETTINGS, 0, unsafe_below_m=0.4)
-    execute(quintic((0, 0, 0.2, 0), (0, 0, 0.2, 0.01), 0.1), hand, BODY, SETTINGS, 0, unsafe_below_m=0.2)
+        execute(ABOVE, Workcell(BODY, hand), SETTINGS, 0, unsafe_below_m=0.4)
+    high = quintic((0, 0, 0.2, 0), (0, 0, 0.2, 0.01), 0.1)
+    execute(high, Workcell(BODY, hand), SETTINGS, 0, unsafe_below_m=0.2)
 
 
-def test_the_camera_sees_no_link_at_start_and_goal_but_does_between():
+def test_links_are_in_view_only_between_start_and_goal():
     view = Viewpoint.of_camera(CAMERA, 320)
-    with ArmView(BODY, None) as arm, IiwaArm(BODY) as solver:
+    with ArmView(Workcell(BODY)) as arm, IiwaArm(Workcell(BODY)) as solver:
         for x in (-0.15, 0.15):
             for y in (-0.085, 0.0, 0.09):
                 assert arm.links_in_view(solver.inverse(np.array([[x, y, 0.03, 0.0]]))[0], view) == {}
         assert arm.links_in_view(solver.inverse(np.array([[0, 0, 0.12, 0.0]]))[0], view)
 
 
-def test_viewpoint_projects_as_the_camera_does():
+def test_viewpoint_projects_like_the_camera():
     points = np.array([[0.1, -0.05, 0.03], [-0.12, 0.08, 0.0]])
     seen = Viewpoint.of_camera(CAMERA, 640).pixels(points)
     depth = 0.5 - points[:, 2]
@@ -113,8 +119,8 @@ def test_friction_is_validated():
         JointFriction(variation=1.0)
 
 
-def test_no_output(capfd):
-    with IiwaArm(BODY):
+def test_loading_the_world_prints_nothing(capfd):
+    with IiwaArm(Workcell(BODY)):
         pass
     captured = capfd.readouterr()
     assert (captured.out, captured.err) == ("", "")

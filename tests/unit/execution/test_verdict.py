@@ -1,4 +1,4 @@
-"""Verdicts on recordings made by hand, and what is drawn of them."""
+"""Evaluation of constructed recordings; film and figure."""
 
 import dataclasses
 import json
@@ -8,24 +8,25 @@ import pytest
 from PIL import Image
 
 from deltasafe.errors import SettingsError
-from deltasafe.execution import Execution, FilmSettings, judge, save_film
+from deltasafe.execution import Execution, evaluate_execution, save_film
 from deltasafe.execution.kinematics import ArmMount, IiwaKinematics
+from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.planning.audit import body_points
-from deltasafe.planning.body import ToolBody
-from deltasafe.planning.tracking_bound import TrackingBound
-from deltasafe.scene.camera import Camera
+from deltasafe.scene import Camera, OccupancyGrid
 from deltasafe.trials.execution_figure import execution_figure
 from tests.unit.execution.conftest import BODY
 
 
-class Wall:
-    """Occupied with p at x > 0.1 m, free elsewhere."""
+def wall(p_occupied):
+    """Occupied with a probability at x > 0.1 m, free elsewhere."""
+    grid = np.zeros((80, 20, 40), np.float32)
+    grid[60:] = p_occupied
+    return OccupancyGrid(grid, np.array([-0.2, -0.05, 0.0]), 0.005)
 
-    def __init__(self, p_occupied):
-        self.p_occupied = p_occupied
 
-    def at(self, points_m):
-        return np.where(points_m[:, 0] > 0.1, self.p_occupied, 0.0).astype(np.float32)
+def verdict_of(execution, p_occupied=0.0, delta=0.05, **settings):
+    """With the paper's tracking bound."""
+    return evaluate_execution(execution, wall(p_occupied), MotionSettings(delta=delta, gamma0_m=0.0, **settings))
 
 
 def recording(x_m, offset_m=0.0, speed_mps=0.1, **changes):
@@ -55,44 +56,45 @@ def recording(x_m, offset_m=0.0, speed_mps=0.1, **changes):
 LINE = np.linspace(-0.1, 0.1, 201)  # the disc reaches the wall when x > 0.1 - 0.03
 
 
-def test_share_of_safe_poses_is_counted_pointwise_and_the_whole_motion_jointly():
-    verdict = judge(recording(LINE), Wall(0.3), BODY, 0.05, TrackingBound())
+def test_delta_safe_poses_are_counted_and_the_motion_needs_all_of_them():
+    verdict = verdict_of(recording(LINE), 0.3)
     assert verdict.delta_safe_share == pytest.approx(171 / 201, abs=1.5 / 201)
     assert not verdict.whole_motion_delta_safe
     assert not verdict.safe
     assert verdict.worst_p_occupied == pytest.approx(0.3)
-    tolerant = judge(recording(LINE), Wall(0.3), BODY, 0.31, TrackingBound())
+    tolerant = verdict_of(recording(LINE), 0.3, 0.31)
     assert tolerant.safe
     assert tolerant.delta_safe_share == 1.0
 
 
-def test_yaw_counts():
+def test_the_measured_yaw_counts():
     quarter = np.tile([0, 0, np.sin(np.pi / 4), np.cos(np.pi / 4)], (201, 1))
-    verdict = judge(recording(LINE, tool_quaternions=quarter), Wall(1.0), BODY, 0.05, TrackingBound())
+    verdict = verdict_of(recording(LINE, tool_quaternions=quarter), 1.0)
     assert verdict.delta_safe_share == pytest.approx(186 / 201, abs=1.5 / 201)  # now 0.015 m wide
 
 
-def test_the_approach_is_reported_apart():
+def test_approach_and_retreat_are_reported_separately():
     phase = np.where(LINE > 0.06, 4, 2)
-    verdict = judge(recording(LINE, phase=phase), Wall(1.0), BODY, 0.05, TrackingBound())
+    verdict = verdict_of(recording(LINE, phase=phase), 1.0)
     assert verdict.whole_motion_delta_safe
     assert verdict.approach_delta_safe_share == pytest.approx(10 / 40, abs=0.05)
 
 
-def test_tracking_against_its_bound():
-    inside = judge(recording(LINE, 0.004), Wall(0.0), BODY, 0.05, TrackingBound())
+def test_tracking_error_is_compared_with_its_bound():
+    inside = verdict_of(recording(LINE, 0.004))
     assert inside.max_excess_m == pytest.approx(-0.001)
     assert inside.share_within_bound == 1.0
-    outside = judge(recording(LINE, 0.006), Wall(0.0), BODY, 0.05, TrackingBound())
+    outside = verdict_of(recording(LINE, 0.006))
     assert outside.max_excess_m == pytest.approx(0.001)
     assert outside.share_within_bound == 0.0
-    resting = judge(recording(LINE, 0.0004, 0.0), Wall(0.0), BODY, 0.05, TrackingBound())
-    assert resting.share_within_bound == 1.0  # read at min_speed_mps ...
-    assert resting.share_within_bound_at_true_speed == 0.0  # ... since gamma(0) = 0
+    resting = verdict_of(recording(LINE, 0.0004, 0.0))
+    assert resting.share_within_bound == 1.0  # gamma(v_min)
+    assert resting.share_within_bound_at_true_speed == 0.0  # gamma(0) = 0
+    assert verdict_of(recording(LINE, 0.0004, 0.0), v_min_mps=0.005).share_within_bound == 0.0
     assert [(b.samples, b.from_mps) for b in outside.by_speed] == [(201, 0.1)]
 
 
-def test_rotation_error_counts_with_the_longest_arm():
+def test_rotation_error_is_weighted_with_the_largest_radius():
     turned = np.tile([0, 0, np.sin(0.05), np.cos(0.05)], (201, 1))
     run = recording(LINE, tool_quaternions=turned)
     np.testing.assert_allclose(run.rotation_error_rad, 0.1, atol=1e-12)
@@ -107,23 +109,21 @@ def test_rotation_error_counts_with_the_longest_arm():
         {"stop_reason": "workspace error"},
     ],
 )
-def test_touching_or_stopping_is_not_safe(changes):
-    assert judge(recording(LINE), Wall(0.0), BODY, 0.05, TrackingBound()).safe
-    assert not judge(recording(LINE, **changes), Wall(0.0), BODY, 0.05, TrackingBound()).safe
+def test_a_contact_or_a_stop_is_not_safe(changes):
+    assert verdict_of(recording(LINE)).safe
+    assert not verdict_of(recording(LINE, **changes)).safe
 
 
 def test_verdict_is_json():
-    verdict = judge(recording(LINE), Wall(0.3), BODY, 0.05, TrackingBound())
+    verdict = verdict_of(recording(LINE), 0.3)
     record = json.loads(json.dumps(dataclasses.asdict(verdict), allow_nan=False))
     assert record["min_arm_to_hand_m"] is None
     assert record["by_speed"][0]["to_mps"] == 0.15
 
 
-def test_questions_without_an_answer_are_refused():
-    with pytest.raises(SettingsError, match="delta"):
-        judge(recording(LINE), Wall(0.3), BODY, 0.0, TrackingBound())
+def test_another_tool_and_arrays_of_other_lengths_are_refused():
     with pytest.raises(SettingsError, match="executed with"):
-        judge(recording(LINE), Wall(0.3), ToolBody(thickness_m=0.02), 0.1, TrackingBound())
+        verdict_of(recording(LINE), body=ToolBody(thickness_m=0.02))
     with pytest.raises(SettingsError, match="torques_nm"):
         recording(LINE, torques_nm=np.zeros((3, 7)))
 
@@ -136,16 +136,16 @@ def test_body_points_lie_in_the_body_and_reach_its_ends():
     np.testing.assert_allclose(points.max(axis=0), [0.03, 0.015, 0.25], atol=1e-3)
 
 
-def test_film_and_figure(tmp_path, hand):
+def test_film_moves_and_figure_shows_the_distance(tmp_path, hand):
     camera = Camera(640, 480, 768.75, 768.75, 320.0, 240.0, np.array([0, 0, 0.5]), np.diag([1.0, -1.0, -1.0]))
     run = recording(LINE)
-    save_film(tmp_path / "run.gif", run, camera, hand, FilmSettings(0.4, 10, 120))
+    save_film(tmp_path / "run.gif", run, camera, hand, seconds=0.4, view_width=120)
     with Image.open(tmp_path / "run.gif") as film:
         assert film.n_frames == 4
         first = np.asarray(film.convert("RGB")).astype(int)
         film.seek(3)
-        assert np.abs(np.asarray(film.convert("RGB")).astype(int) - first).max() > 50  # something moved
-    figure = execution_figure(run, TrackingBound())
+        assert np.abs(np.asarray(film.convert("RGB")).astype(int) - first).max() > 50
+    figure = execution_figure(run, MotionSettings())
     drawn = figure.axes[0].lines[0].get_ydata()
     np.testing.assert_allclose(drawn, 50.0)
     figure.savefig(tmp_path / "run.png")

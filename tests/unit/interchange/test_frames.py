@@ -1,4 +1,4 @@
-"""Imported scenes: frames, stamps, rotations and sizes decide what a log's poses mean."""
+"""Import of scenes: frames, timestamps, rotations and sizes."""
 
 import base64
 import copy
@@ -16,8 +16,8 @@ from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
 from deltasafe.interchange import export_scene, import_scene
 from deltasafe.interchange.frames import SAME_M
-from deltasafe.interchange.mcap_log import LogWriter, read_log
-from deltasafe.interchange.scenes import MOST_TILT_RAD, quaternion, upright, vector, yaw_about_z
+from deltasafe.interchange.mcap_log import open_log, read_log
+from deltasafe.interchange.scenes import MAX_TILT_RAD, quaternion, upright, vector, yaw_about_z
 from deltasafe.scene import LoggedScene
 
 SCENE = LoggedScene.load(pathlib.Path(__file__).parents[3] / "datasets" / "scenes" / "scene_003")
@@ -32,30 +32,30 @@ SCHEMA = {
 
 
 class Log:
-    """An exported scene whose messages a test edits, each a time in seconds and the message."""
+    """An exported scene with editable messages: topic -> [(time in seconds, message)]."""
 
     def __init__(self, path):
         export_scene(SCENE, path)
         whole = read_log(path)
         self.path, self.facts, self.attachments = path, whole.facts, whole.attachments
-        self.said = {topic: [(0.0, copy.deepcopy(whole.on(topic)[0]))] for topic in SCHEMA}
-        for messages in self.said.values():
+        self.messages = {topic: [(0.0, copy.deepcopy(whole.messages_on(topic)[0]))] for topic in SCHEMA}
+        for messages in self.messages.values():
             messages[0][1].pop("timestamp")
 
     def message(self, topic):
-        return self.said[topic][0][1]
+        return self.messages[topic][0][1]
 
     def at(self, topic, time_s):
-        self.said[topic] = [(time_s, message) for _, message in self.said[topic]]
+        self.messages[topic] = [(time_s, message) for _, message in self.messages[topic]]
 
     def load(self):
         self.path.unlink()
-        with LogWriter(self.path) as log:
-            for topic, messages in self.said.items():
+        with open_log(self.path) as log:
+            for topic, messages in self.messages.items():
                 for time_s, message in messages:
-                    log.say(topic, SCHEMA[topic], round(time_s * SECOND), message)
+                    log.write_message(topic, SCHEMA[topic], round(time_s * SECOND), message)
             for name, facts in self.facts.items():
-                log.note(name, facts)
+                log.write_facts(name, facts)
             for name, data in self.attachments.items():
                 log.attach(name, "application/octet-stream", data)
         folder = self.path.parent / "scene"
@@ -92,24 +92,24 @@ def assert_camera_as_logged(scene, atol=1e-12):
     np.testing.assert_allclose(scene.camera.position_m, SCENE.camera.position_m, rtol=0, atol=atol)
     np.testing.assert_array_equal(
         scene.camera.world_from_camera_rotation, SCENE.camera.world_from_camera_rotation
-    )  # by the metadata, as soon as the transforms agree
+    )  # from the metadata, if the transforms agree with it
 
 
-def test_transforms_of_other_frames_are_not_the_camera(log):
+def test_transforms_of_other_frames_are_ignored(log):
     base = transform("world", "robot_base", (0.5, 0.1, 0.7))
-    log.said["/tf"] = [(0, base), *log.said["/tf"], (0, transform("robot_base", "tool", (0, 0, 1)))]
+    log.messages["/tf"] = [(0, base), *log.messages["/tf"], (0, transform("robot_base", "tool", (0, 0, 1)))]
     assert_camera_as_logged(log.load(), atol=0)
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
-def test_the_newest_transform_not_later_than_the_image_counts(log, order):
+def test_the_newest_transform_before_the_image_is_used(log, order):
     stamped = [
         (1.0, transform("world", "camera", (0.2, 0.0, 0.6), CAMERA_POSE[1])),
         (2.0, log.message("/tf")),
         (3.0, transform("world", "camera", (0.0, 0.2, 0.7), CAMERA_POSE[1])),
     ]
-    # a recorder may write transforms late: the stamp decides, not the place in the log
-    log.said["/tf"] = [(2.0, {"timestamp": _stamp(stamped[n][0]), **stamped[n][1]}) for n in order]
+    # a recorder may write transforms late: the timestamp decides, not the position in the log
+    log.messages["/tf"] = [(2.0, {"timestamp": _stamp(stamped[n][0]), **stamped[n][1]}) for n in order]
     log.at("/camera/image", 2.5)
     assert_camera_as_logged(log.load(), atol=0)
 
@@ -129,7 +129,7 @@ def test_a_chain_of_transforms_is_composed_in_both_directions(log):
     base, flange = ((0.4, -0.3, 0.1), turned(70)), ((0.1, 0.2, 0.5), turned(35, "x"))
     in_flange = flange[1].inv().apply(base[1].inv().apply(CAMERA_POSE[0] - base[0]) - flange[0])
     rotation = (base[1] * flange[1]).inv() * CAMERA_POSE[1]
-    log.said["/tf"] = [
+    log.messages["/tf"] = [
         (0, transform("flange", "eye", in_flange, rotation)),
         (0, transform("base", "flange", *flange)),
         (0, transform("base", "world", -base[1].inv().apply(base[0]), base[1].inv())),
@@ -139,15 +139,15 @@ def test_a_chain_of_transforms_is_composed_in_both_directions(log):
     assert_camera_as_logged(log.load())
 
 
-def test_a_camera_that_nothing_connects_with_the_world_is_refused(log):
-    log.said["/tf"] = [(0, transform("world", "robot_base")), (0, transform("stand", "camera"))]
+def test_a_camera_without_connection_to_the_world_is_refused(log):
+    log.messages["/tf"] = [(0, transform("world", "robot_base")), (0, transform("stand", "camera"))]
     with pytest.raises(DataError, match=r"does not connect 'world' with 'camera'.* stand -> camera"):
         log.load()
 
 
 @pytest.mark.parametrize("other", ["world", "robot_base"])
-def test_two_chains_that_disagree_are_refused(log, other):
-    log.said["/tf"] += [
+def test_contradicting_chains_are_refused(log, other):
+    log.messages["/tf"] += [
         (0, transform("world", "robot_base", (0.1, 0, 0))),
         (0, transform(other, "camera", (0.0, 0.0, 0.5 + 2 * SAME_M), CAMERA_POSE[1])),
     ]
@@ -155,8 +155,8 @@ def test_two_chains_that_disagree_are_refused(log, other):
         log.load()
 
 
-def test_two_chains_that_agree_and_contradictions_elsewhere_are_accepted(log):
-    log.said["/tf"] += [
+def test_consistent_chains_are_accepted_with_contradictions_elsewhere(log):
+    log.messages["/tf"] += [
         (0, transform("world", "robot_base", (0.1, 0, 0))),
         (0, transform("robot_base", "camera", CAMERA_POSE[0] - (0.1, 0, 0), CAMERA_POSE[1])),
         (0, transform("robot_base", "carried", (0.3, 0, 0))),
@@ -165,11 +165,11 @@ def test_two_chains_that_agree_and_contradictions_elsewhere_are_accepted(log):
     assert_camera_as_logged(log.load(), atol=0)
 
 
-def test_task_poses_in_other_frames_are_taken_into_the_world(log):
+def test_task_poses_are_transformed_into_the_world(log):
     base, position_m = ((0.5, -0.2, 0.01), turned(90)), np.array((SCENE.goal.x_m, SCENE.goal.y_m, SCENE.goal.z_m))
-    log.said["/tf"].append((0, transform("world", "robot_base", *base)))
+    log.messages["/tf"].append((0, transform("world", "robot_base", *base)))
     local = Pose(*base[1].inv().apply(position_m - base[0]), SCENE.goal.yaw_rad + math.pi)
-    log.said["/task/goal"] = [(0, {"frame_id": "robot_base", "pose": upright(local)})]
+    log.messages["/task/goal"] = [(0, {"frame_id": "robot_base", "pose": upright(local)})]
     scene = log.load()
     np.testing.assert_allclose(scene.goal.as_array()[:3], position_m, atol=1e-12)
     assert math.remainder(scene.goal.yaw_rad - SCENE.goal.yaw_rad + math.pi / 2, 2 * math.pi) == pytest.approx(0)
@@ -182,14 +182,14 @@ def test_task_poses_in_unknown_frames_are_refused(log, frame):
         log.load()
 
 
-def test_a_pose_in_the_camera_frame_is_not_read_as_world(log):
-    log.message("/task/goal")["frame_id"] = "camera"  # which looks down
+def test_a_pose_in_the_camera_frame_is_transformed(log):
+    log.message("/task/goal")["frame_id"] = "camera"  # its z axis points down
     with pytest.raises(DataError, match=r"/task/goal is tilted by 180 degrees"):
         log.load()
 
 
-def test_a_pose_in_a_frame_that_moved_since_is_refused(log):
-    log.said["/tf"] += [(0, transform("world", "cart")), (2, transform("world", "cart", (0.05, 0, 0)))]
+def test_a_pose_in_a_frame_that_moved_is_refused(log):
+    log.messages["/tf"] += [(0, transform("world", "cart")), (2, transform("world", "cart", (0.05, 0, 0)))]
     log.at("/camera/image", 1.0)
     log.at("/task/goal", 3.0)
     log.message("/task/goal")["frame_id"] = "cart"
@@ -200,7 +200,7 @@ def test_a_pose_in_a_frame_that_moved_since_is_refused(log):
 @pytest.mark.parametrize("topic", ["/task/start", "/task/goal"])
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("degrees", [0.2, 45, 180])
-def test_tilted_task_poses_are_refused_with_topic_and_tilt(log, topic, axis, degrees):
+def test_tilted_task_poses_are_refused(log, topic, axis, degrees):
     log.message(topic)["pose"]["orientation"] = quaternion((turned(30) * turned(degrees, axis)).as_quat())
     with pytest.raises(DataError, match=f"{topic} is tilted by {degrees:g} degrees"):
         log.load()
@@ -208,7 +208,7 @@ def test_tilted_task_poses_are_refused_with_topic_and_tilt(log, topic, axis, deg
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_tilt_within_the_tolerance_keeps_the_yaw(log, sign):
-    tilt = Rotation.from_rotvec((0.9 * MOST_TILT_RAD, 0, 0))
+    tilt = Rotation.from_rotvec((0.9 * MAX_TILT_RAD, 0, 0))
     log.message("/task/goal")["pose"]["orientation"] = quaternion(sign * (turned(200) * tilt).as_quat())
     assert log.load().goal.yaw_rad == pytest.approx(math.radians(-160), abs=1e-5)
 
@@ -222,10 +222,10 @@ def test_exported_yaw_is_read_back_exactly(log):
     assert log.load().goal.yaw_rad == 2.1
 
 
-def test_task_poses_that_differ_are_refused_and_repeated_ones_accepted(log):
-    log.said["/task/goal"].append((1.0, copy.deepcopy(log.message("/task/goal"))))
+def test_repeated_task_poses_must_be_equal(log):
+    log.messages["/task/goal"].append((1.0, copy.deepcopy(log.message("/task/goal"))))
     assert log.load().goal == SCENE.goal
-    log.said["/task/goal"][1][1]["pose"]["position"]["x"] += 0.01
+    log.messages["/task/goal"][1][1]["pose"]["position"]["x"] += 0.01
     (log.path.parent / "scene").rename(log.path.parent / "first")
     with pytest.raises(DataError, match="/task/goal holds 2 poses that differ"):
         log.load()
@@ -235,7 +235,7 @@ BAD_QUATERNIONS = [(0, 0, 0, 0), (0, 0, 0, 2), (0, 0, 0, 0.99), (0, 0, True, 1),
 
 
 @pytest.mark.parametrize("values", [*BAD_QUATERNIONS, (0, 0, 10**400, 1)])
-def test_bad_quaternions_are_refused(log, values):
+def test_invalid_quaternions_are_refused(log, values):
     bad = dict(zip("xyzw", values, strict=True))
     log.message("/task/goal")["pose"]["orientation"] = bad
     with pytest.raises(DataError, match=r"/task/goal (has the quaternion|needs finite numbers)"):
@@ -247,7 +247,7 @@ def test_bad_quaternions_are_refused(log, values):
 
 
 @pytest.mark.parametrize("value", [1e308, -(10**400), 10**7, None, "0.1", True])
-def test_bad_coordinates_are_refused(log, value):
+def test_invalid_coordinates_are_refused(log, value):
     log.message("/tf")["translation"]["x"] = value
     with pytest.raises(DataError, match=r"/tf \(world -> camera\) needs finite numbers x, y, z up to"):
         log.load()
@@ -263,7 +263,7 @@ def test_a_rounded_quaternion_is_accepted(log):
     "stamp", [None, {}, {"sec": -1, "nsec": 0}, {"sec": 0, "nsec": SECOND}, {"sec": 0.5, "nsec": 0}]
 )
 @pytest.mark.parametrize("topic", ["/tf", "/camera/image", "/task/start"])
-def test_messages_without_a_time_are_refused(log, topic, stamp):
+def test_messages_without_a_timestamp_are_refused(log, topic, stamp):
     log.message(topic)["timestamp"] = stamp
     with pytest.raises(DataError, match=f"{topic} needs a timestamp"):
         log.load()
@@ -281,13 +281,13 @@ def test_the_calibration_is_chosen_by_frame_and_time(log):
     other["frame_id"] = "camera_right"
     for one in (other, older, newer):
         one["K"] = [2 * value for value in one["K"][:8]] + [1.0]
-    log.said["/camera/calibration"] = [(0, other), (1, older), (2, right), (4, newer)]
+    log.messages["/camera/calibration"] = [(0, other), (1, older), (2, right), (4, newer)]
     log.at("/camera/image", 3.0)
     assert log.load().camera.fx == SCENE.camera.fx
 
 
 @pytest.mark.parametrize("culprit", ["calibration", "image", "mask"])
-def test_sizes_that_differ_are_refused(log, culprit):
+def test_different_sizes_are_refused(log, culprit):
     small = np.full((240, 320, 3), 255, np.uint8)
     if culprit == "calibration":
         log.message("/camera/calibration").update(width=320, height=240)
@@ -300,13 +300,13 @@ def test_sizes_that_differ_are_refused(log, culprit):
         log.load()
 
 
-def test_a_camera_rotation_that_is_no_number_is_refused(log):
+def test_a_camera_rotation_without_numbers_is_refused(log):
     log.facts["deltasafe.scene"]["camera_rotation"] = [[None] * 3] * 3
     with pytest.raises(DataError, match="disagree"):
         log.load()
 
 
-def test_a_scene_far_into_a_recording_is_read_to_the_last_bit(log):
+def test_late_timestamps_do_not_change_the_scene(log):
     for topic in SCHEMA:
         log.at(topic, 1_700_000_000.25)
     scene = log.load()

@@ -1,4 +1,4 @@
-"""MCAP: scenes and executions there and back, what viewers look for, and bad files."""
+"""MCAP: round trips of scenes and executions, schemas for viewers, and damaged files."""
 
 import importlib.util
 import json
@@ -13,7 +13,7 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution import Execution
 from deltasafe.execution.recording import PHASES
 from deltasafe.interchange import export_execution, export_scene, import_execution, import_scene
-from deltasafe.interchange.mcap_log import LogWriter, read_log
+from deltasafe.interchange.mcap_log import open_log, read_log
 from deltasafe.planning import ToolBody
 from deltasafe.scene import LoggedScene
 
@@ -44,7 +44,7 @@ def execution():
 
 
 @needs_mcap
-def test_a_scene_comes_back_as_it_was(tmp_path):
+def test_an_imported_scene_equals_the_exported_one(tmp_path):
     export_scene(SCENE, tmp_path / "scene.mcap")
     back = import_scene(tmp_path / "scene.mcap", tmp_path / "scene")
     for name in ("image_path", "mask_path", "mesh_path"):
@@ -58,7 +58,7 @@ def test_a_scene_comes_back_as_it_was(tmp_path):
 
 
 @needs_mcap
-def test_an_execution_comes_back_bit_by_bit_and_equal_ones_are_equal_bytes(tmp_path, execution):
+def test_an_imported_execution_is_identical_and_exports_are_reproducible(tmp_path, execution):
     export_execution(execution, tmp_path / "one.mcap", SCENE)
     export_execution(execution, tmp_path / "two.mcap", SCENE)
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
@@ -85,23 +85,23 @@ def test_an_execution_comes_back_bit_by_bit_and_equal_ones_are_equal_bytes(tmp_p
         ("/path/executed", {"frame_id": "flange"}),
     ],
 )
-def test_an_execution_that_was_altered_anywhere_is_refused(tmp_path, execution, topic, change):
+def test_an_altered_execution_is_refused(tmp_path, execution, topic, change):
     export_execution(execution, tmp_path / "run.mcap")
     whole = read_log(tmp_path / "run.mcap")
-    with LogWriter(tmp_path / "other.mcap") as log:
+    with open_log(tmp_path / "other.mcap") as log:
         for name, messages in whole.messages.items():
             for n, message in enumerate(messages):
                 changed = change if name == topic and n == len(messages[:4]) - 1 else {}
                 time_ns = message["timestamp"]["sec"] * 1_000_000_000 + message["timestamp"]["nsec"]
-                log.say(name, "foxglove.PoseInFrame", time_ns, message | changed)
+                log.write_message(name, "foxglove.PoseInFrame", time_ns, message | changed)
         for name, facts in whole.facts.items():
-            log.note(name, facts)
+            log.write_facts(name, facts)
     with pytest.raises(DataError, match=r"export (it|the execution) again"):
         import_execution(tmp_path / "other.mcap")
 
 
 @needs_mcap
-def test_viewers_find_the_schemas_that_they_know(tmp_path, execution):
+def test_messages_match_the_schemas_of_viewers(tmp_path, execution):
     from mcap.reader import make_reader
 
     export_execution(execution, tmp_path / "run.mcap", SCENE)
@@ -119,11 +119,10 @@ def test_viewers_find_the_schemas_that_they_know(tmp_path, execution):
         assert json.loads(schema.data)["title"] == schema.name
     assert {channel.message_encoding for channel in summary.channels.values()} == {"json"}
     log = read_log(tmp_path / "run.mcap")
-    assert len(log.on("/joint_states")) == len(execution.time_s)
-    assert log.on("/joint_states")[3]["timestamp"] == {"sec": 0, "nsec": 30_000_000}
+    assert len(log.messages_on("/joint_states")) == len(execution.time_s)
+    assert log.messages_on("/joint_states")[3]["timestamp"] == {"sec": 0, "nsec": 30_000_000}
     assert log.image("/camera/image")[0] == SCENE.image_path.read_bytes()
-    assert log.on("/execution")[-1]["phase"] == PHASES[4]
-    # every message has the fields of its schema, and no others
+    assert log.messages_on("/execution")[-1]["phase"] == PHASES[4]
     by_name = {schema.name: json.loads(schema.data)["properties"] for schema in summary.schemas.values()}
     for topic, messages in log.messages.items():
         allowed = set(by_name[schemas[topic]]) | {"timestamp"}
@@ -131,7 +130,7 @@ def test_viewers_find_the_schemas_that_they_know(tmp_path, execution):
 
 
 @needs_mcap
-def test_bad_files_are_named(tmp_path, execution):
+def test_damaged_and_foreign_files_are_refused(tmp_path, execution):
     with pytest.raises(DataError, match="is missing"):
         read_log(tmp_path / "none.mcap")
     (tmp_path / "text.mcap").write_text("no log at all")
@@ -157,7 +156,7 @@ def test_bad_files_are_named(tmp_path, execution):
 
 
 @needs_mcap
-def test_a_flipped_bit_is_told_or_does_not_matter(tmp_path, execution):
+def test_a_flipped_bit_is_refused_or_has_no_effect(tmp_path, execution):
     export_execution(execution, tmp_path / "run.mcap")
     whole, rng, refused = (tmp_path / "run.mcap").read_bytes(), np.random.default_rng(0), 0
     for place in rng.integers(0, len(whole), 300):
@@ -172,7 +171,7 @@ def test_a_flipped_bit_is_told_or_does_not_matter(tmp_path, execution):
 
 
 @needs_mcap
-def test_flipped_bits_in_attachments_and_metadata_are_told(tmp_path):
+def test_flipped_bits_in_attachments_and_metadata_are_refused(tmp_path):
     export_scene(SCENE, tmp_path / "scene.mcap")
     whole = (tmp_path / "scene.mcap").read_bytes()
     for part in (SCENE.mask_path.read_bytes(), SCENE.mesh_path.read_bytes(), b"hand_height_m"):
@@ -211,23 +210,28 @@ def test_a_log_without_an_index_is_read(tmp_path, options, use_chunking):
 
 
 @needs_mcap
-def test_messages_are_in_the_order_of_time(tmp_path):
-    with LogWriter(tmp_path / "log.mcap") as log:
+def test_messages_are_sorted_by_time(tmp_path):
+    with open_log(tmp_path / "log.mcap") as log:
         for time_ns in (5, 2, 9, 2):
-            log.say("/task/goal", "foxglove.PoseInFrame", time_ns, {"frame_id": "world"})
-    assert [one["timestamp"]["nsec"] for one in read_log(tmp_path / "log.mcap").on("/task/goal")] == [2, 2, 5, 9]
+            log.write_message("/task/goal", "foxglove.PoseInFrame", time_ns, {"frame_id": "world"})
+    assert [one["timestamp"]["nsec"] for one in read_log(tmp_path / "log.mcap").messages_on("/task/goal")] == [
+        2,
+        2,
+        5,
+        9,
+    ]
 
 
 @needs_mcap
-def test_a_log_is_written_whole_or_not_at_all(tmp_path):
-    with pytest.raises(RuntimeError, match="power"), LogWriter(tmp_path / "log.mcap") as log:
-        log.say("/tool/pose", "foxglove.PoseInFrame", 0, {"frame_id": "world"})
-        raise RuntimeError("power went out")
+def test_a_failed_export_leaves_no_file(tmp_path):
+    with pytest.raises(RuntimeError, match="interrupted"), open_log(tmp_path / "log.mcap") as log:
+        log.write_message("/tool/pose", "foxglove.PoseInFrame", 0, {"frame_id": "world"})
+        raise RuntimeError("interrupted")
     assert list(tmp_path.iterdir()) == []
 
 
 @needs_mcap
-def test_the_command_line_exports_and_imports(tmp_path, execution, capsys):
+def test_command_line_exports_and_imports(tmp_path, execution, capsys):
     execution.save(tmp_path / "run")
     scene = str(SCENE.image_path.parent)
     assert main(["export", str(tmp_path / "run"), str(tmp_path / "run.mcap"), "--scene", scene]) == 0
@@ -239,7 +243,7 @@ def test_the_command_line_exports_and_imports(tmp_path, execution, capsys):
     assert "neither" in capsys.readouterr().err
 
 
-def test_without_the_package_the_remedy_is_named(tmp_path, monkeypatch):
+def test_a_missing_package_is_named_with_its_remedy(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap", None)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(SettingsError, match="pip install"):

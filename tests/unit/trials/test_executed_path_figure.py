@@ -14,7 +14,7 @@ from deltasafe.execution.recording import PHASES
 from deltasafe.geometry import Pose
 from deltasafe.planning import MotionSettings, plan_motion
 from deltasafe.scene import Camera, grid_from_image
-from deltasafe.trials.executed_path_figure import executed_over_image, way_of_samples_m
+from deltasafe.trials.executed_path_figure import arc_length_of_samples_m, executed_over_image
 
 CAMERA = Camera(160, 120, 192.0, 192.0, 80.0, 60.0, np.array([0.0, 0.0, 0.5]), np.diag([1.0, -1.0, -1.0]))
 SEEN = np.clip(1.5 - np.hypot(*(np.mgrid[:120, :160] + 0.5 - np.array([70, 80])[:, None, None])) / 20, 0, 1)
@@ -27,7 +27,7 @@ def planned(start):
 
 
 def executed(motion):
-    """The reference itself, every 20 ms, with a way down before it that is not judged."""
+    """Every 20 ms the reference, after an approach that is not evaluated."""
     poses, velocities = (getattr(motion.trajectory, name)[::20] for name in ("poses", "velocities"))
     down = np.repeat(poses[:1], 5, axis=0)
     down[:, 2] += np.linspace(0.04, 0.01, 5)
@@ -50,16 +50,15 @@ def executed(motion):
     )
 
 
-def test_the_way_of_the_samples_is_that_of_the_plan() -> None:
+def test_arc_length_of_the_samples_agrees_with_the_plan() -> None:
     motion = planned(Pose(-0.13, 0.0, 0.03))
-    execution = executed(motion)
-    way = way_of_samples_m(execution)
-    assert (way[:6] == 0).all()
-    assert (np.diff(way) >= 0).all()
-    assert way[-1] == pytest.approx(motion.profile.arc_length_m[-1], rel=0.01)
+    arc_m = arc_length_of_samples_m(executed(motion))
+    assert (arc_m[:6] == 0).all()
+    assert (np.diff(arc_m) >= 0).all()
+    assert arc_m[-1] == pytest.approx(motion.profile.arc_length_m[-1], rel=0.01)
 
 
-def test_an_execution_is_drawn(tmp_path: pathlib.Path) -> None:
+def test_complete_and_stopped_executions_are_drawn(tmp_path: pathlib.Path) -> None:
     motion = planned(Pose(-0.13, 0.0, 0.03))
     image = np.full((120, 160, 3), 90, np.uint8)
     for name, execution in (

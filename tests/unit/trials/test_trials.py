@@ -1,23 +1,30 @@
-"""A scene through the chain, with a field made from its true mask in place of a network's."""
+"""The steps of the chain on two scenes, with predictions made from the true masks."""
 
 import dataclasses
 import json
 import pathlib
+import re
 import shutil
 
 import numpy as np
 import pytest
 
 from deltasafe.errors import DataError, SettingsError
-from deltasafe.execution.simulate import ExecutionSettings
+from deltasafe.execution import ExecutionSettings, Workcell, execute
 from deltasafe.geometry import Trajectory
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.planning.audit import audit_trajectory
 from deltasafe.scene import FieldSettings, OccupancyGrid, load_scenes
-from deltasafe.trials.executions import execute_scenes, load_outcomes
-from deltasafe.trials.motions import load_motion, plan_scenes
-from deltasafe.trials.occupancy_fields import load_occupancy_grid, load_p_occupied, load_seen, missed_hand, write_fields
+from deltasafe.trials.executions import execute_scenes, load_execution, load_outcomes
+from deltasafe.trials.motions import PlannedScenes, load_motion, plan_scenes
+from deltasafe.trials.occupancy_fields import (
+    load_image_stamp,
+    load_occupancy_grid,
+    load_p_occupied,
+    missed_hand,
+    write_fields,
+)
 from deltasafe.trials.selection import load_selection, select_scenes
 from deltasafe.trials.write_safety_report import write_safety_report
 
@@ -26,7 +33,7 @@ CALIBRATION = Calibration(50, 1, 0.98, 0.95, 0.01, 0.05, 0.01, smallest_supporte
 
 
 class Oracle:
-    """Sees the true mask: (M = 1 ensemble) for tests of what comes after perception."""
+    """Predicts the blurred true mask."""
 
     def __init__(self, scenes):
         import cv2
@@ -51,21 +58,20 @@ def chain(tmp_path_factory):
     record["id"] = "scene_900"
     record["goal"]["position_m"] = [0.03, -0.05, 0.03]
     (source / "scene_900" / "scene.json").write_text(json.dumps(record))
-    # another picture, so that the oracle can tell the scenes apart
+    # another image, because the oracle finds the mask by the image
     shutil.copy(SCENES / "scene_003" / "image.jpg", source / "scene_900" / "image.jpg")
 
     root = tmp_path_factory.mktemp("chain")
     scenes = select_scenes(source, 0, root / "scenes")
     write_fields(Oracle(scenes), scenes, root / "fields", FieldSettings())
     motions = plan_scenes(scenes, root / "fields", root / "motions", MotionSettings(cost="area"), CALIBRATION, 0)
-    outcomes = execute_scenes(scenes, root / "fields", root / "motions", root / "executions", ExecutionSettings(), 0)
-    report = write_safety_report(
-        scenes, root / "fields", root / "motions", root / "executions", root / "report", n_films=1
-    )
+    planned = PlannedScenes(scenes, root / "fields", root / "motions")
+    outcomes = execute_scenes(planned, root / "executions", ExecutionSettings(), 0, workers=2)
+    report = write_safety_report(planned, root / "executions", root / "report", n_films=1)
     return scenes, root, motions, outcomes, report
 
 
-def test_an_executed_motion_touches_nothing_and_is_delta_safe_throughout(chain):
+def test_an_executed_motion_is_delta_safe_without_contact(chain):
     report = chain[-1]
     verdict = report.scenes[0].verdict
     assert report.scenes[0].outcome == "executed"
@@ -76,7 +82,7 @@ def test_an_executed_motion_touches_nothing_and_is_delta_safe_throughout(chain):
     assert verdict.max_error_m < 0.005
 
 
-def test_a_scene_without_a_safe_path_is_an_outcome_with_its_reason(chain):
+def test_a_scene_without_a_safe_path_has_a_reason(chain):
     _, root, motions, outcomes, report = chain
     assert not motions["scene_900"].is_safe
     assert "goal unsafe" in outcomes[1].reason
@@ -89,35 +95,35 @@ def test_a_scene_without_a_safe_path_is_an_outcome_with_its_reason(chain):
 def test_the_report_is_complete_on_disk(chain):
     _, root, _, _, report = chain
     text = (root / "report" / "report.md").read_text()
-    for name in (
-        "scene_000-plan.png",
-        "scene_000-execution.png",
-        "scene_000-executed.png",
-        "scene_000.gif",
-        "scene_900-plan.png",
-    ):
-        assert (root / "report" / name).is_file()
-        assert name in text
+    linked = re.findall(r"\]\((.+?)\)", text)
+    assert {"scene_000.gif", *(f"scene_000-{kind}.png" for kind in ("plan", "execution", "executed"))} < set(linked)
+    assert "scene_900-plan.png" in linked
+    assert all((root / "report" / name).is_file() for name in linked)
     assert (root / "report" / "executed.jpg").is_file()
     assert "1 of 2 scenes were executed" in text
+    assert f"| scene_900 | {report.scenes[1].outcome} | - |" in text
+    assert "\n\n\n" not in text
+    summary = (root / "report" / "summary.md").read_text()
+    assert text.startswith(summary)
+    assert "](" not in summary
     stored = json.loads((root / "report" / "report.json").read_text())
     assert stored["figures"] == pytest.approx(report.figures())
 
 
-def test_the_share_of_the_hand_that_is_missed_is_counted_pixel_by_pixel(chain):
+def test_miss_rate_is_counted_over_the_pixels_of_the_hand(chain):
     import cv2
 
     scenes, root = chain[0], chain[1]
     mask = cv2.imread(str(scenes[0].mask_path), cv2.IMREAD_GRAYSCALE) > 0
     p_occupied = load_p_occupied(root / "fields", scenes[0].id)
     assert missed_hand(scenes[:1], root / "fields", 0.05) == {"scene_000": 0.0}
-    share = missed_hand(scenes[:1], root / "fields", 0.9)["scene_000"]
+    rate = missed_hand(scenes[:1], root / "fields", 0.9)["scene_000"]
     rows, columns = np.nonzero(mask)
-    assert share == sum(p_occupied[r, c] <= 0.9 for r, c in zip(rows, columns, strict=True)) / len(rows)
-    assert 0 < share < 1
+    assert rate == sum(p_occupied[r, c] <= 0.9 for r, c in zip(rows, columns, strict=True)) / len(rows)
+    assert 0 < rate < 1
 
 
-def test_the_audit_agrees_with_the_plan_and_finds_what_is_unsafe(chain):
+def test_the_audit_accepts_the_plan_and_refuses_a_path_through_the_hand(chain):
     scenes, root, motions, _, _ = chain
     motion, grid = motions["scene_000"], load_occupancy_grid(root / "fields", "scene_000")
     assert audit_trajectory(motion.trajectory, grid, motion.body, 0.05).unsafe_poses == 0
@@ -129,7 +135,7 @@ def test_the_audit_agrees_with_the_plan_and_finds_what_is_unsafe(chain):
     assert audited.worst_p_occupied > 0.9
 
 
-def test_the_audit_sees_a_point_that_only_the_turned_tool_reaches():
+def test_the_audit_tests_the_turned_tool():
     """A wall 20 mm beside the path: beyond the short semi-axis, within the long one."""
     p_occupied = np.zeros((40, 40, 10), np.float32)
     p_occupied[:, 30:, :] = 1.0
@@ -145,7 +151,7 @@ def test_the_audit_sees_a_point_that_only_the_turned_tool_reaches():
     assert across.unsafe_poses > 0
 
 
-def test_planning_below_the_supported_delta_is_refused_before_anything_is_written(chain, tmp_path):
+def test_planning_below_the_supported_delta_writes_nothing(chain, tmp_path):
     scenes, root = chain[0], chain[1]
     settings = MotionSettings(delta=0.02)
     with pytest.raises(SettingsError, match=r"0\.03"):
@@ -153,7 +159,27 @@ def test_planning_below_the_supported_delta_is_refused_before_anything_is_writte
     assert not (tmp_path / "motions").exists()
 
 
-def test_what_was_saved_is_what_was_planned(chain):
+def test_executions_do_not_depend_on_workers_and_executor(chain, tmp_path):
+    class InThisProcess:
+        def run(self, tasks, workers, needs):
+            assert (workers, needs.apart) == (7, True)
+            yield from reversed([(index, task.work(*task.arguments)) for index, task in enumerate(tasks)])
+
+    scenes, root, _, outcomes, _ = chain
+    planned, reports = PlannedScenes(scenes, root / "fields", root / "motions"), []
+    again = execute_scenes(
+        planned, tmp_path / "again", ExecutionSettings(), 0, 7, InThisProcess(), lambda *report: reports.append(report)
+    )
+    assert again == outcomes == load_outcomes(tmp_path / "again")
+    digests = [load_execution(folder, "scene_000").digest() for folder in (tmp_path / "again", root / "executions")]
+    assert digests[0] == digests[1]
+    assert [(done, total) for done, total, _ in reports] == [(1, 2), (2, 2)]
+    with pytest.raises(SettingsError, match="workers"):
+        execute_scenes(planned, tmp_path / "none", ExecutionSettings(), 0, 0)
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_saved_motion_equals_the_planned_one(chain):
     _, root, motions, _, _ = chain
     stored = load_motion(root / "motions", "scene_000")
     assert np.array_equal(stored.trajectory.poses, motions["scene_000"].trajectory.poses)
@@ -161,7 +187,7 @@ def test_what_was_saved_is_what_was_planned(chain):
     assert load_p_occupied(root / "fields", "scene_000").shape == (480, 640)
 
 
-def test_a_replaced_image_is_noticed(chain, tmp_path):
+def test_a_replaced_image_is_refused(chain, tmp_path):
     source = tmp_path / "scenes"
     shutil.copytree(SCENES / "scene_001", source / "scene_001")
     select_scenes(source, 1, tmp_path / "selection")
@@ -171,7 +197,7 @@ def test_a_replaced_image_is_noticed(chain, tmp_path):
         load_selection(tmp_path / "selection")
 
 
-def test_more_scenes_than_there_are_is_refused(tmp_path):
+def test_a_selection_of_too_many_scenes_is_refused(tmp_path):
     n = len(load_scenes(SCENES))
     with pytest.raises(SettingsError, match=f"between 0 \\(all\\) and {n}"):
         select_scenes(SCENES, n + 1, tmp_path / "selection")
@@ -185,7 +211,7 @@ def test_an_image_of_another_size_than_its_camera_is_refused(tmp_path):
     assert not (tmp_path / "fields").exists()
 
 
-def test_a_scene_may_not_name_a_folder_outside_of_its_own(tmp_path):
+def test_a_scene_id_with_slashes_is_refused(tmp_path):
     shutil.copytree(SCENES / "scene_000", tmp_path / "scene_000")
     path = tmp_path / "scene_000" / "scene.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"id": "../elsewhere"}))
@@ -193,40 +219,37 @@ def test_a_scene_may_not_name_a_folder_outside_of_its_own(tmp_path):
         load_scenes(tmp_path)
 
 
-def test_the_arm_stands_beside_a_table_of_any_height():
-    """The same motion above a table one meter up: the same errors to the bit of the integrator."""
-    from deltasafe.execution.simulate import execute, iiwa_for
-
-    share = np.linspace(0, 1, 601)
-    smooth = 10 * share**3 - 15 * share**4 + 6 * share**5
+def test_tracking_errors_do_not_depend_on_the_height_of_the_table():
+    s = np.linspace(0, 1, 601)
     poses = np.zeros((601, 4))
-    poses[:, 0], poses[:, 2] = -0.1 + 0.1 * smooth, 0.1
-    time_s = share * 2.0
+    poses[:, 0], poses[:, 2] = -0.1 + 0.1 * (10 * s**3 - 15 * s**4 + 6 * s**5), 0.1
+    time_s = s * 2.0
     mesh = (np.array([[0.3, 0.3, 0.0], [0.31, 0.3, 0.0], [0.3, 0.31, 0.0]]), np.array([[0, 1, 2]]))
     errors = []
     for table_z_m in (0.0, 1.0):
         lift = np.array([0, 0, table_z_m, 0])
         trajectory = Trajectory(time_s, poses + lift, np.gradient(poses, time_s, axis=0))
-        lifted = (mesh[0] + lift[:3], mesh[1])
-        body = ToolBody()
-        make_arm = iiwa_for(body, lifted, table_z_m)
-        run = execute(trajectory, lifted, body, ExecutionSettings(), 3, make_arm=make_arm)
+        cell = Workcell(ToolBody(), (mesh[0] + lift[:3], mesh[1]), table_z_m)
+        run = execute(trajectory, cell, ExecutionSettings(), 3)
         assert run.completed
         assert run.contacts.sum() == 0
         errors.append(run.workspace_error_m.max())
     assert errors[0] == pytest.approx(errors[1], rel=1e-3)
 
 
-def test_which_image_a_motion_was_planned_from_travels_with_it(chain, tmp_path):
+def test_a_motion_of_another_image_is_not_executed(chain, tmp_path):
     scenes, root, *_ = chain
     scene = scenes[0]
     motion = load_motion(root / "motions", scene.id)
-    assert motion.image_stamp == load_seen(root / "fields", scene.id)
+    assert motion.image_stamp == load_image_stamp(root / "fields", scene.id)
     fields = tmp_path / "fields"
     shutil.copytree(root / "fields", fields)
     shutil.copy(fields / scenes[1].id / "seen.json", fields / scene.id / "seen.json")
     with pytest.raises(DataError, match="another image than its field"):
-        execute_scenes([scene], fields, root / "motions", tmp_path / "executions", ExecutionSettings(), 0)
+        execute_scenes(
+            PlannedScenes([scene], fields, root / "motions"), tmp_path / "executions", ExecutionSettings(), 0
+        )
+    assert not (tmp_path / "executions").exists()
     (fields / scene.id / "seen.json").write_text('{"image_sha256": "short"}')
     with pytest.raises(DataError, match="make the occupancy fields again"):
-        load_seen(fields, scene.id)
+        load_image_stamp(fields, scene.id)

@@ -59,7 +59,7 @@ class TrueMaskPredictor:
         return Prediction(seen, np.stack([seen, np.zeros_like(seen)]))
 
 
-def follow(trajectory, mesh, body, settings, seed, *, bound, unsafe_below_m, make_arm):
+def follow(trajectory, cell, settings, seed, *, limits, unsafe_below_m):
     """Record an ideal arm, which follows the reference exactly, at 10 Hz; some seeds cannot follow."""
     if seed % 7 == 0:
         raise PlanningError("the arm cannot follow")
@@ -68,8 +68,8 @@ def follow(trajectory, mesh, body, settings, seed, *, bound, unsafe_below_m, mak
     half = poses[:, 3] / 2
     quaternions = np.column_stack([np.zeros((count, 2)), np.sin(half), np.cos(half)])
     rotations = [np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]) for a in poses[:, 3]]
-    distance = MeshDistance(*mesh)
-    tool_m = [distance.to_tool(body, pose[:3], turn) for pose, turn in zip(poses, rotations, strict=True)]
+    distance = MeshDistance(*cell.mesh)
+    tool_m = [distance.to_tool(cell.body, pose[:3], turn) for pose, turn in zip(poses, rotations, strict=True)]
     return Execution(
         time_s=trajectory.time_s[shown],
         phase=np.full(count, PHASES.index("motion")),
@@ -82,7 +82,7 @@ def follow(trajectory, mesh, body, settings, seed, *, bound, unsafe_below_m, mak
         tool_to_hand_m=np.array(tool_m),
         arm_to_hand_m=np.full(count, 0.2),
         contacts=np.zeros(count),
-        body=body,
+        body=cell.body,
         seed=seed,
     )
 
