@@ -32,9 +32,8 @@ class MotionSettings(VelocitySettings, PlannerSettings):
     Attributes:
         cost: line cost: ``root``, ``squared`` or ``area``. The paper's experiment penalizes the area between path and
             table, so that the tool passes near the fingers.
-        gamma0_m: constant term of the tracking bound gamma(v) = gamma0 + gamma1 v. The default was identified for the
-            simulated arm (`make tracking-study`).
-        gamma1_s: slope of the tracking bound; the default is the paper's.
+        gamma0_m, gamma1_s: constant and slope of the tracking bound gamma(v) = gamma0 + gamma1 v. The default slope is
+            the paper's; the default constant was identified for the simulated arm (`make tracking-study`).
         body: the space that the tool occupies.
     """
 

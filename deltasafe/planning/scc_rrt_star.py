@@ -48,7 +48,7 @@ class PlannerSettings(CheckSettings):
     """Settings of SCC-RRT*, including those of the segment test.
 
     Attributes:
-        delta: largest allowed probability that a point of the tool is in an occupied place.
+        delta: each point of the tool may lie in space that is occupied with at most this probability.
         n_iterations: N_iter, largest number of samples of the search.
         time_limit_s: of search and refinement together; 0 for no limit. With a limit, the result depends on the speed
             of the machine; without one, the same seed gives the same path.
