@@ -54,10 +54,12 @@ class WatchCursor:
     Attributes:
         seen: digests at the last tick.
         done: digests that the sensor has acted on.
+        n_requests: number of requested runs.
     """
 
     seen: dict[str, str]
     done: dict[str, str]
+    n_requests: int = 0
 
     @classmethod
     def from_json(cls, cursor: str | None) -> "WatchCursor":
@@ -71,3 +73,8 @@ class WatchCursor:
         settled = [name for name, digest in digests.items() if self.done.get(name) != digest == self.seen.get(name)]
         self.seen = dict(digests)
         return settled
+
+    def run_key(self, name: str) -> str:
+        """Return a new run key. Dagster never repeats a key, but a folder may return to an earlier content."""
+        self.n_requests += 1
+        return f"{name} {self.done[name]} {self.n_requests}"

@@ -97,7 +97,7 @@ def check_images(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> d
     except DeltasafeError as error:
         return _skip(cursor, f"not used for training until it is changed: {error}")
     config = {"ops": {"raw_hands": {"config": {"folder": str(folder)}}}}
-    request = dg.RunRequest(run_key=digest, run_config=config, tags={**jobs.ALL_MEMBERS, **jobs.UNATTENDED})
+    request = dg.RunRequest(cursor.run_key("hands"), config, tags={**jobs.ALL_MEMBERS, **jobs.UNATTENDED})
     return dg.SensorResult([request], cursor=cursor.to_json())
 
 
@@ -115,7 +115,7 @@ def check_scenes(context: dg.SensorEvaluationContext, folder: pathlib.Path) -> d
             refused.append(str(error))
             continue
         config = {"ops": {"logged_scene": {"config": {"folder": str(folder)}}}}
-        requests.append(dg.RunRequest(f"{name} {digests[name]}", config, partition_key=name, tags=jobs.UNATTENDED))
+        requests.append(dg.RunRequest(cursor.run_key(name), config, partition_key=name, tags=jobs.UNATTENDED))
     if not requests:
         return _skip(cursor, "; ".join(refused) or f"no new settled scene in {folder}")
     partitions = scene_partitions.build_add_request([str(request.partition_key) for request in requests])

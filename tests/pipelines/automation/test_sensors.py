@@ -44,10 +44,21 @@ def test_settled_images_start_one_training(hands):
     tick = Ticks(check_images, hands)
     assert "waiting until it is settled" in tick().skip_reason.skip_message
     (request,) = tick().run_requests
-    assert request.run_key == digest_of_folder(hands)
+    assert digest_of_folder(hands) in request.run_key
     assert request.run_config == {"ops": {"raw_hands": {"config": {"folder": str(hands)}}}}
     assert ALL_MEMBERS.items() <= request.tags.items()
     assert tick().skip_reason.skip_message == "nothing new"
+
+
+def test_a_folder_that_returns_to_an_earlier_content_is_trained_on_again(hands):
+    tick, keys = Ticks(check_images, hands), []
+    original = (hands / "masks" / "0.png").read_bytes()
+    for content in (original, (hands / "masks" / "1.png").read_bytes(), original):
+        (hands / "masks" / "0.png").write_bytes(content)
+        tick()
+        (request,) = tick().run_requests
+        keys.append(request.run_key)
+    assert len(set(keys)) == 3
 
 
 def test_a_changing_folder_starts_nothing(hands):
