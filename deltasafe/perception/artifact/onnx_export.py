@@ -39,7 +39,7 @@ def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:
     import onnx
     from onnx import compose, helper, inliner, parser
 
-    # tracing takes seconds: once for all members, which differ in their weights alone
+    # tracing takes seconds, so one trace serves all members: they differ in their weights only
     trace = _trace(ensemble.members[0])
     nodes, weights = [], []
     for index, network in enumerate(ensemble.members):
@@ -67,7 +67,7 @@ def export_onnx(ensemble: Ensemble, destination: pathlib.Path) -> None:
 
 
 class _Member(nn.Module):
-    """A network on uint8 images (B, h, w, 3), with pooling in a form that the exporter leaves variable in size."""
+    """A network on images (B, h, w, 3). Pooling is a plain mean, which the exporter keeps free of fixed sizes."""
 
     def __init__(self, network: nn.Module) -> None:
         super().__init__()
@@ -88,7 +88,7 @@ class _Mean(nn.Module):
 
 
 def _trace(network: nn.Module) -> "onnx.ModelProto":
-    """Trace a member, with all weights as they are: simplifying the graph is left for later."""
+    """Trace a member without optimizing the graph, so that every initializer is a weight of the network."""
     level = logging.getLogger("torch.onnx").level
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     try:
@@ -112,7 +112,7 @@ def _trace(network: nn.Module) -> "onnx.ModelProto":
 
 
 def _with_weights_of(network: nn.Module, trace: "onnx.ModelProto") -> "onnx.GraphProto":
-    """Return a member's graph: the trace with its weights, simplified, batch normalization fused into convolutions."""
+    """Return the trace with a member's weights; the optimizer fuses batch normalization into convolutions."""
     import onnx
     import onnxscript.optimizer
     from onnx import numpy_helper
@@ -128,17 +128,17 @@ def _with_weights_of(network: nn.Module, trace: "onnx.ModelProto") -> "onnx.Grap
 
 
 def _follow_image_size(graph: "onnx.GraphProto") -> None:
-    """Make the sizes of maps, which the trace has fixed, and paddings follow the size of the image.
+    """Replace the sizes and paddings that the trace has fixed by ones computed from the size of the image.
 
     Raises:
         RuntimeError: a map is not an integer fraction of the image, or another node fixes a size.
     """
     from onnx import helper, numpy_helper
 
-    weights = {item.name: item for item in graph.initializer}
+    constants = {item.name: item for item in graph.initializer}
     for node in graph.node:
         if node.op_type == "Resize":
-            size = numpy_helper.to_array(weights[node.input[3]])[2:]
+            size = numpy_helper.to_array(constants[node.input[3]])[2:]
             stride = _EXAMPLE_SIZE[0] // int(size[0])
             if tuple(stride * size) != _EXAMPLE_SIZE:
                 raise RuntimeError(f"a map is upsampled to {size}, which is no integer fraction of {_EXAMPLE_SIZE}")
@@ -151,7 +151,7 @@ def _follow_image_size(graph: "onnx.GraphProto") -> None:
 
 
 def _pad_as_tensorflow(convolution: "onnx.NodeProto") -> None:
-    """Replace unequal padding by TensorFlow's "same", which depends on the size: it is unequal for even sizes only."""
+    """Replace unequal padding, which fits even sizes only, by TensorFlow's "same" padding for any size."""
     from onnx import helper
 
     attributes = {item.name: item for item in convolution.attribute}
@@ -163,25 +163,22 @@ def _pad_as_tensorflow(convolution: "onnx.NodeProto") -> None:
 
 
 def _from_logits_to_outputs(n_members: int, temperature: float) -> str:
-    """Text of the graph from ``member_INDEX_logits`` to the outputs."""
+    """Return the graph from ``member_INDEX_logits`` to the outputs, in ONNX text syntax."""
     layers = [f"layer_{index}" for index in range(n_members)]
     unsqueezed = "\n".join(f"{name} = Unsqueeze (member_{index}_logits, axis)" for index, name in enumerate(layers))
-    mean, calibrated = "p_occupied", ""
+    calibrated = "p_occupied = Identity (mean)"
     if temperature != 1.0:
-        mean, calibrated = (
-            "mean",
-            f"""
+        calibrated = f"""
             lowest = Constant <value_float = {NLL_CLIP!r}> ()
             highest = Constant <value_float = {1 - NLL_CLIP!r}> ()
             one = Constant <value_float = 1.0> ()
-            temperature = Constant <value_float = {temperature!r}> ()
+            temperature = Constant <value_float = {float(temperature)!r}> ()
             clipped = Clip (mean, lowest, highest)
             p_free = Sub (one, clipped)
             odds = Div (clipped, p_free)
             logit = Log (odds)
-            cooled = Div (logit, temperature)
-            p_occupied = Sigmoid (cooled)""",
-        )
+            scaled = Div (logit, temperature)
+            p_occupied = Sigmoid (scaled)"""
     return f"""
         ensemble (uint8[batch, height, width, 3] rgb) => (
             float[batch, height, width] p_occupied,
@@ -192,7 +189,7 @@ def _from_logits_to_outputs(n_members: int, temperature: float) -> str:
             {unsqueezed}
             member_logits = Concat <axis = 1> ({", ".join(layers)})
             member_p_occupied = Sigmoid (member_logits)
-            {mean} = ReduceMean <keepdims = 0> (member_p_occupied, axis)
+            mean = ReduceMean <keepdims = 0> (member_p_occupied, axis)
             {calibrated}
         }}"""
 
@@ -200,7 +197,7 @@ def _from_logits_to_outputs(n_members: int, temperature: float) -> str:
 def _needed(
     nodes: "list[onnx.NodeProto]", outputs: "Iterable[onnx.ValueInfoProto]"
 ) -> "tuple[list[onnx.NodeProto], set[str]]":
-    """Return the nodes that ``outputs`` depend on, without the exporter's stack traces, and all names that they read."""
+    """Return the nodes that ``outputs`` depend on, and the names they read; remove stack traces with machine paths."""
     read = {item.name for item in outputs}
     needed = []
     for node in reversed(nodes):

@@ -1,4 +1,4 @@
-"""Bilinear upsampling in the ONNX program: to the size of any image, and after the convolution that follows it.
+"""Bilinear upsampling in the ONNX program, as ONNX functions: for any image size, and fused with a convolution.
 
 Upsampling and convolution are linear, and upsampling treats all channels alike. So the sum over the channels c can be
 computed first, at the small size, once for each tap (k_y, k_x) of the kernel W:
@@ -93,7 +93,7 @@ def upsampling_functions() -> "list[onnx.FunctionProto]":
 
 
 def convolve_before_upsampling(graph: "onnx.GraphProto") -> None:
-    """Replace, in a member's graph, 3 x 3 convolutions of (upsampled map, other map) by `ConvolveUpsampled`."""
+    """Replace 3 x 3 convolutions of (upsampled map, other map) in a member's graph by `ConvolveUpsampled`."""
     from onnx import helper, numpy_helper
 
     shapes = {item.name: [each.dim_value for each in item.type.tensor_type.shape.dim] for item in graph.value_info}

@@ -63,7 +63,7 @@ def test_what_was_signed_is_verified_and_keeps_its_name(copy, keys):
 
 
 def test_another_key_is_refused(copy, keys):
-    with pytest.raises(ArtifactError, match=r"is no signature of ensemble-.* by .*theirs"):
+    with pytest.raises(ArtifactError, match=r"is not a signature of ensemble-.* by .*theirs"):
         verify_signature(copy, keys["theirs"][1])
 
 
@@ -74,7 +74,7 @@ def test_a_forger_who_puts_our_key_s_name_on_it_is_refused(copy, keys):
     forged = json.loads(signature_of(copy).read_text())
     assert forged["verificationMaterial"] != ours
     signature_of(copy).write_text(json.dumps({**forged, "verificationMaterial": ours}))
-    with pytest.raises(ArtifactError, match="is no signature"):
+    with pytest.raises(ArtifactError, match="is not a signature"):
         verify_signature(copy, keys["ours"][1])
 
 
@@ -93,7 +93,7 @@ def test_an_altered_file_is_refused_before_and_after_the_digests_are_adjusted(co
     renamed = copy.rename(copy.with_name(f"ensemble-{digest[:16]}"))
     shutil.copyfile(signature_of(copy), signature_of(renamed))
     verify_artifact(renamed)
-    with pytest.raises(ArtifactError, match="is no signature"):
+    with pytest.raises(ArtifactError, match="is not a signature"):
         verify_signature(renamed, keys["ours"][1])
 
 
@@ -104,7 +104,7 @@ def test_an_added_file_and_a_broken_or_missing_signature_are_refused(copy, keys)
     (copy / "extra.txt").unlink()
     verify_signature(copy, keys["ours"][1])
     signature_of(copy).write_text("{}")
-    with pytest.raises(ArtifactError, match="is no signature"):
+    with pytest.raises(ArtifactError, match="is not a signature"):
         verify_signature(copy, keys["ours"][1])
     signature_of(copy).unlink()
     with pytest.raises(ArtifactError, match=r"\.sig: is missing"):
@@ -146,7 +146,7 @@ def test_the_commands(copy, keys, capsys):
     assert main(["verify", str(copy), "--public-key", str(keys["ours"][1])]) == 0
     assert "signed with" in capsys.readouterr().out
     assert main(["verify", str(copy), "--public-key", str(keys["theirs"][1])]) == 1
-    assert "is no signature" in capsys.readouterr().err
+    assert "is not a signature" in capsys.readouterr().err
 
 
 def test_openssf_s_own_command_agrees(copy, keys):
