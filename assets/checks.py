@@ -158,11 +158,11 @@ def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResu
 def true_hands_are_seen(
     context: dg.AssetCheckExecutionContext, occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path
 ) -> dg.AssetCheckResult:
-    from deltasafe.trials.occupancy_fields import missed_hand
+    from deltasafe.trials.occupancy_fields import miss_rates_at_delta
     from deltasafe.trials.selection import load_selection
 
     delta = planning_delta(context.run.run_config)
-    missed = missed_hand(load_selection(logged_scenes), occupancy_fields, delta)
+    missed = miss_rates_at_delta(load_selection(logged_scenes), occupancy_fields, delta)
     worst = max(missed, key=lambda scene: missed[scene])
     return dg.AssetCheckResult(
         passed=missed[worst] <= 0.05,

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 import dagster as dg
 
 from deltasafe.errors import DataError
-from pipelines.tracking.tracker import RECORDED
+from pipelines.tracking.tracker import RECORDING_LOG_PREFIX
 
-_RECORDING = re.compile(rf"{re.escape(RECORDED)} ([0-9.]+) s$")
+_RECORDING = re.compile(rf"{re.escape(RECORDING_LOG_PREFIX)} ([0-9.]+) s$")
 _WORK_STARTS = (dg.DagsterEventType.STEP_START, dg.DagsterEventType.STEP_INPUT)
 
 Interval = tuple[float, float]

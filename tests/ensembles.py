@@ -1,4 +1,4 @@
-"""Frozen ensembles that are as good or bad as a test wants, and labeled images to judge them on; no training."""
+"""Frozen ensembles of chosen quality, without training, and labeled images to evaluate them on."""
 
 import dataclasses
 import pathlib
@@ -25,7 +25,7 @@ CALIBRATION = Calibration(
 
 
 def freeze_constant(parent: pathlib.Path, logit: float) -> pathlib.Path:
-    """An ensemble that gives every pixel the same logit: where there is little hand, the lower the better."""
+    """Freeze an ensemble with a constant logit; the lower, the better on images with a small hand."""
     import torch
 
     settings = NetworkSettings(pretrained=False, pyramid_channels=16)
@@ -40,7 +40,7 @@ def freeze_constant(parent: pathlib.Path, logit: float) -> pathlib.Path:
 
 
 def write_hands(folder: pathlib.Path, n: int = 4, seed: int = 0) -> pathlib.Path:
-    """Noise with a small hand in the corner."""
+    """Write images of noise, and masks with a small hand in the corner."""
     rng = np.random.default_rng(seed)
     for name in ("images", "masks"):
         (folder / name).mkdir(parents=True)

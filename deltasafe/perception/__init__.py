@@ -1,8 +1,8 @@
 """From labeled images to a frozen ensemble whose mean is a probability.
 
-The steps, each a call: `LabeledImageSet.load`, `augment_images`, `train_ensemble`, `evaluate_ensemble`, `gate`,
-`freeze_ensemble`, `load_ensemble`. Default settings are those of the preset ``default``. Names are imported on first
-use, so that importing this package loads neither torch nor OpenCV.
+The steps in order: `LabeledImageSet.load`, `augment_images`, `train_ensemble`, `evaluate_ensemble`, `gate`,
+`freeze_ensemble`, `load_ensemble`. The default settings are those of the preset ``default``. Names are imported on
+first use, because importing torch and OpenCV takes seconds.
 """
 
 import importlib

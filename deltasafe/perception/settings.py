@@ -1,4 +1,4 @@
-"""What can be chosen about network, training and inference; free of torch, so that a UI can show it at once."""
+"""Settings of network, training, inference and promotion. Does not import torch, so that a UI loads it fast."""
 
 import dataclasses
 import math
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from deltasafe.errors import SettingsError
+from deltasafe.io.records import from_json
 
 __all__ = [
     "ARCHITECTURES",
@@ -22,29 +23,30 @@ PRECISIONS = ("auto", "float32", "bfloat16")
 SCHEDULES = ("one_cycle", "exponential")
 
 _STRIDE = 16
-_WIDEST = 8192
+_MAX_SIZE = 8192
+_TORCHVISION_RATES = (12, 24, 36)
 
 
 @dataclasses.dataclass(frozen=True)
 class NetworkSettings:
-    """Which network every member is an instance of.
+    """Architecture of the network; the same for every member.
 
     Attributes:
-        architecture: ``deeplabv3`` (atrous pyramid alone, as in the paper) or ``deeplabv3plus`` (with a skip
+        architecture: ``deeplabv3`` (atrous pyramid only, as in the paper) or ``deeplabv3plus`` (adds a skip connection
             from stride 4, which halves the error between fingers).
-        backbone: one of `BACKBONES`.
-        pretrained: begin from ImageNet weights where an installed package or a local cache holds them
-            (never downloaded); the head is random for each member either way.
-        pyramid_channels: width of the atrous pyramid; torchvision's default is 256.
-        atrous_rates: of the pyramid, in cells of stride 16; those of torchvision were made for maps of 65 x 65 cells,
-            on the 12 x 9 cells of a small image they reach outside nearly everywhere.
+        backbone: ``efficientnet_lite0``, ``mobilenet_v3_large`` or ``resnet50``.
+        pretrained: start from ImageNet weights if an installed package or the local cache has them. They are never
+            downloaded. The head is initialized at random for each member.
+        pyramid_channels: channels of the atrous pyramid (ASPP); torchvision's default is 256.
+        atrous_rates: dilations of the pyramid, in cells of stride 16. The default is torchvision's, made for maps of
+            65 x 65 cells; on the 12 x 9 cells of a small image most taps fall outside.
     """
 
     architecture: str = "deeplabv3plus"
     backbone: str = "efficientnet_lite0"
     pretrained: bool = True
     pyramid_channels: int = 128
-    atrous_rates: tuple[int, ...] = (12, 24, 36)
+    atrous_rates: tuple[int, ...] = _TORCHVISION_RATES
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "atrous_rates", tuple(self.atrous_rates))
@@ -52,37 +54,46 @@ class NetworkSettings:
             raise SettingsError(f"architecture must be one of {ARCHITECTURES}, got {self.architecture!r}")
         if self.backbone not in BACKBONES:
             raise SettingsError(f"backbone must be one of {BACKBONES}, got {self.backbone!r}")
-        if not 1 <= self.pyramid_channels <= _WIDEST:
-            raise SettingsError(f"pyramid_channels must be positive and at most {_WIDEST}, got {self.pyramid_channels}")
-        if not self.atrous_rates or not all(1 <= rate <= _WIDEST for rate in self.atrous_rates):
+        if not 1 <= self.pyramid_channels <= _MAX_SIZE:
             raise SettingsError(
-                f"atrous_rates must be at least one positive number, of at most {_WIDEST}, got {self.atrous_rates}"
+                f"pyramid_channels must be positive and at most {_MAX_SIZE}, got {self.pyramid_channels}"
+            )
+        if not self.atrous_rates or not all(1 <= rate <= _MAX_SIZE for rate in self.atrous_rates):
+            raise SettingsError(
+                f"atrous_rates must be at least one positive number, of at most {_MAX_SIZE}, got {self.atrous_rates}"
             )
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "NetworkSettings":
-        """As stored with a member or an ensemble; the first ones named no rates and had torchvision's."""
-        return cls(**{"atrous_rates": (12, 24, 36), **record})
+        """Read the JSON form stored with a member or ensemble; the first versions stored no rates (torchvision's).
+
+        Raises:
+            TypeError, ValueError: ``record`` has another form.
+        """
+        network: NetworkSettings = from_json(cls, {"atrous_rates": list(_TORCHVISION_RATES), **record})
+        return network
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainingSettings:
-    """How a member is trained; what was measured with the defaults stands in docs/results.
+    """Training of one member. Results with the defaults are in docs/results.
 
     Attributes:
-        network: the network of every member.
-        epochs: passes over the augmented set, reshuffled before each.
-        batch_size: images a step.
-        small_share: share of the steps, from the first, that sees images reduced to ``small_scale``. Most of what is
-            learned does not need full resolution, and small images are cheap; what lies between fingers needs it.
-        small_scale: side of a reduced image relative to the stored one.
-        peak_learning_rate: of AdamW; ``one_cycle`` rises to it over the first quarter and falls to zero,
-            ``exponential`` starts there and is multiplied by ``epoch_decay`` after each epoch.
-        weight_decay: of AdamW (decoupled); 0 is Adam.
-        precision: ``bfloat16`` multiplies dense convolutions in that type (sums stay in float32, and so does all
-            else on a CPU), ``float32`` nothing; ``auto`` is bfloat16 where the hardware multiplies it faster.
-        compile: `torch.compile` the network before training; needs a C++ compiler, pays in long trainings.
-        checkpoint_every_steps: a killed training loses at most so many steps.
+        network: architecture, the same for every member.
+        epochs: passes over the augmented set, which is reshuffled before each.
+        batch_size: images per step.
+        small_share: fraction of the steps, counted from the first, that train on downscaled images. These steps are
+            cheap; only the gaps between fingers need full resolution.
+        small_scale: side length of a downscaled image, relative to the stored one.
+        peak_learning_rate: maximum learning rate of AdamW.
+        schedule: ``one_cycle`` (rises over the first quarter, then falls to zero) or ``exponential`` (starts at the
+            maximum, multiplied by ``epoch_decay`` after each epoch).
+        epoch_decay: factor of the ``exponential`` schedule, in (0, 1].
+        weight_decay: decoupled weight decay of AdamW; with 0 it is Adam.
+        precision: ``float32``, ``bfloat16`` (dense convolutions multiply in bfloat16 and accumulate in float32; on a
+            CPU everything else is float32), or ``auto`` (bfloat16 if the hardware has instructions for it).
+        compile: run `torch.compile` before training. Needs a C++ compiler; worthwhile for long trainings only.
+        checkpoint_every_steps: steps between checkpoints, at most lost when a training is killed.
     """
 
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
@@ -122,10 +133,14 @@ class TrainingSettings:
 
 @dataclasses.dataclass(frozen=True)
 class InferenceSettings:
-    """At which resolution the networks look at an image.
+    """Input resolution of the networks.
 
-    An image of any size is scaled to about ``width`` x ``height`` pixels in area, its aspect ratio kept up to
-    rounding to multiples of 16; logits are scaled back to the size of the image.
+    An image is scaled to about the area of ``width`` x ``height`` pixels. Its aspect ratio is kept, except for rounding
+    to multiples of 16. The logits are scaled back to the size of the image.
+
+    Attributes:
+        width: pixels, for an image of this aspect ratio.
+        height: pixels.
     """
 
     width: int = 256
@@ -134,11 +149,13 @@ class InferenceSettings:
     def __post_init__(self) -> None:
         if self.width < 2 * _STRIDE or self.height < 2 * _STRIDE:
             raise SettingsError(f"inference size must be at least 32 x 32, got {self.width} x {self.height}")
-        if max(self.width, self.height) > _WIDEST:
-            raise SettingsError(f"inference size must be at most {_WIDEST} a side, got {self.width} x {self.height}")
+        if max(self.width, self.height) > _MAX_SIZE:
+            raise SettingsError(
+                f"inference size must be at most {_MAX_SIZE} per side, got {self.width} x {self.height}"
+            )
 
     def network_size(self, height: int, width: int) -> tuple[int, int]:
-        """(height, width) that the networks see for an image of ``height`` x ``width`` pixels."""
+        """Return the (height, width) that an image of ``height`` x ``width`` pixels is scaled to."""
         scale = math.sqrt(self.width * self.height / (width * height))
         return (
             max(2, round(height * scale / _STRIDE)) * _STRIDE,
@@ -148,14 +165,14 @@ class InferenceSettings:
 
 @dataclasses.dataclass(frozen=True)
 class PromotionSettings:
-    """When a new ensemble takes the place of the one in use (`perception.promotion`).
+    """Non-inferiority test that a new ensemble must pass to replace the champion (decision 36).
 
     Attributes:
-        nll_margin, brier_margin: largest tolerable loss as a share of the old ensemble's NLL and Brier score.
-        miou_margin: largest tolerable loss of mIoU, as a difference.
-        level: confidence of the one-sided bounds that must stay below the margins.
-        n_bootstrap: bootstrap samples of the test images.
-        seed: of the bootstrap.
+        nll_margin, brier_margin: non-inferiority margin, as a fraction of the champion's NLL or Brier score.
+        miou_margin: non-inferiority margin of the mIoU, as a difference.
+        level: one-sided confidence level of the upper bounds that are compared with the margins.
+        n_bootstrap: number of bootstrap samples of the test images.
+        seed: seed of the bootstrap.
     """
 
     nll_margin: float = 0.1

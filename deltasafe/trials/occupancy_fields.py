@@ -16,7 +16,7 @@ from deltasafe.scene import FieldSettings, ImageStamp, LoggedScene, OccupancyGri
 if TYPE_CHECKING:
     from deltasafe.perception.inference.ensemble import Ensemble
 
-__all__ = ["load_image_stamp", "load_occupancy_grid", "load_p_occupied", "missed_hand", "write_fields"]
+__all__ = ["load_image_stamp", "load_occupancy_grid", "load_p_occupied", "miss_rates_at_delta", "write_fields"]
 
 
 def write_fields(
@@ -87,7 +87,7 @@ def load_p_occupied(folder: pathlib.Path, scene_id: str) -> NDArray[np.float32]:
     return stored
 
 
-def missed_hand(scenes: Sequence[LoggedScene], folder: pathlib.Path, delta: float) -> dict[str, float]:
+def miss_rates_at_delta(scenes: Sequence[LoggedScene], folder: pathlib.Path, delta: float) -> dict[str, float]:
     """Return the miss rate of each scene: the fraction of the true hand's pixels with p_occupied <= delta.
 
     For evaluation only: neither the ensemble nor the planner has the true mask.

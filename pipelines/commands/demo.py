@@ -42,10 +42,10 @@ def _run(recorded: pathlib.Path | None) -> int:
 
     import dagster as dg
 
-    from pipelines.commands.run_job import succeeded
+    from pipelines.commands.run_job import run_to_end
 
     began_s = time.monotonic()
-    if not succeeded(dg.reconstructable(everything), {}, "`make demo`"):
+    if not run_to_end(dg.reconstructable(everything), {}, "`make demo`"):
         return 1
     figures = _figures(root) | {"minutes_total": round((time.monotonic() - began_s) / 60, 1)}
     command = f"make {'record' if recorded else 'demo'}" + ("" if preset == "default" else f" PRESET={preset}")

@@ -33,10 +33,10 @@ def main() -> int:
 
     import dagster as dg
 
-    from pipelines.commands.run_job import made, succeeded
+    from pipelines.commands.run_job import made, run_to_end
 
     steps = {name: {"workers": options.workers} for name in ("planner_costs", "planner_times")}
-    if not succeeded(dg.reconstructable(planner_study), steps, "`make planner-study`"):
+    if not run_to_end(dg.reconstructable(planner_study), steps, "`make planner-study`"):
         return 1
     folder = made(root, "planner_report")
     figures = read_json(folder / "figures.json")

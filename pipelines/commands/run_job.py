@@ -9,11 +9,11 @@ import dagster as dg
 from pipelines.automation.lost_runs import fail_lost_runs
 from pipelines.storage.io_manager import FolderPointers
 
-__all__ = ["made", "succeeded"]
+__all__ = ["made", "run_to_end"]
 
 
-def succeeded(job: Any, steps: Mapping[str, Mapping[str, Any]], again: str) -> bool:
-    """Run a job to its end with progress in the terminal; return whether it succeeded.
+def run_to_end(job: Any, steps: Mapping[str, Mapping[str, Any]], again: str) -> bool:
+    """Run a job to its end with progress in the terminal; return whether it run_to_end.
 
     Args:
         job: a reconstructable job, because its steps are separate processes.

@@ -46,7 +46,7 @@ def main() -> int:
 
     import dagster as dg
 
-    from pipelines.commands.run_job import made, succeeded
+    from pipelines.commands.run_job import made, run_to_end
 
     study: dict[str, Any] = {}
     if options.executions is not None:
@@ -58,7 +58,7 @@ def main() -> int:
         trials["scenes"] = [str(folder.expanduser().resolve()) for folder in options.scenes]
     if options.ensemble:
         trials["ensemble"] = str(options.ensemble.expanduser().resolve())
-    if not succeeded(dg.reconstructable(safety_study), {"safety_trials": trials}, "`make safety-study`"):
+    if not run_to_end(dg.reconstructable(safety_study), {"safety_trials": trials}, "`make safety-study`"):
         return 1
     folder = made(root, "safety_study_report")
     figures = read_json(folder / "figures.json")

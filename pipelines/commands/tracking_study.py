@@ -34,10 +34,10 @@ def main() -> int:
 
     import dagster as dg
 
-    from pipelines.commands.run_job import made, succeeded
+    from pipelines.commands.run_job import made, run_to_end
 
     steps = {"tracking_bound": {"workers": options.workers}}
-    if not succeeded(dg.reconstructable(tracking_study), steps, "`make tracking-study`"):
+    if not run_to_end(dg.reconstructable(tracking_study), steps, "`make tracking-study`"):
         return 1
     folder = made(root, "tracking_bound")
     report = folder.with_name(f"{folder.name}-report")

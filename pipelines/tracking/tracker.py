@@ -16,12 +16,12 @@ from pipelines.home import set_quiet_environment, tracking_uri
 from pipelines.tracking.call_queue import CallQueue
 from pipelines.tracking.mlflow_records import MlflowRecords
 
-__all__ = ["RECORDED", "MlflowTracker", "is_reachable"]
+__all__ = ["RECORDING_LOG_PREFIX", "MlflowTracker", "is_reachable"]
 
 _log = logging.getLogger("deltasafe.tracking")
 
 _ESSENTIAL = ("register", "promote", "demote")
-RECORDED = "MLflow was busy for"
+RECORDING_LOG_PREFIX = "MLflow was busy for"
 """Start of the log line with the time that recording took; the seconds follow."""
 
 
@@ -110,7 +110,7 @@ class MlflowTracker:
         began_s = time.monotonic()
         with FileLock(self.home / "mlflow" / "lock"):
             yield MlflowRecords(tracking_uri(self.home), self.home)
-        _log.info("%s %.2f s", RECORDED, time.monotonic() - began_s)
+        _log.info("%s %.2f s", RECORDING_LOG_PREFIX, time.monotonic() - began_s)
 
 
 def is_reachable(uri: str, timeout_s: float = 5.0) -> bool:

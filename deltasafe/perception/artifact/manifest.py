@@ -1,29 +1,50 @@
-"""`manifest.json` of a frozen ensemble, read by somebody who does not trust it."""
+"""`manifest.json` of a frozen ensemble. Its content is untrusted until it has been validated."""
 
+import dataclasses
 import pathlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from deltasafe.compute.code_digest import digest_of_package
 from deltasafe.errors import ArtifactError, DataError
 from deltasafe.io.records import from_json
 from deltasafe.io.storage import read_json
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
+from deltasafe.perception.training.member import Member
 
-__all__ = ["FORMAT_VERSION", "described", "read_manifest"]
+__all__ = ["FORMAT_VERSION", "load_manifest", "new_manifest", "settings_of_manifest"]
 
 FORMAT_VERSION = 3
-"""2 applies the temperature of `calibration.json`; in version 1 it was always 1. Since 3, the ONNX program takes images
-of any size and gives the members' logits as well."""
+"""Version 2 applies the temperature of `calibration.json`; in version 1 it was always 1. Since version 3 the ONNX
+program accepts images of any size and also returns the members' logits."""
 
-_MOST_MEMBERS = 1000
+_MAX_MEMBERS = 1000
 
 
-def read_manifest(folder: pathlib.Path) -> dict[str, Any]:
-    """The manifest of a frozen ensemble, its form checked; whether it speaks the truth about the files is not.
+def new_manifest(
+    members: Sequence[Member], names: Sequence[str], inference: InferenceSettings, provenance: Mapping[str, str]
+) -> dict[str, Any]:
+    """Build the manifest of ``members``, stored in files ``names``; the digests of all files are still missing."""
+    return {
+        "format_version": FORMAT_VERSION,
+        "n_members": len(members),
+        "members": list(names),
+        "seeds": [member.seed for member in members],
+        "class": "p_occupied: probability that a pixel shows a hand or forearm (masks: 255 = hand)",
+        "preprocessing": "RGB uint8; scaled to the inference size (area or bilinear); ImageNet statistics "
+        "are applied inside the network",
+        "network": dataclasses.asdict(members[0].network_settings),
+        "inference": dataclasses.asdict(inference),
+        "provenance": {"data": members[0].record["data_digest"], "code": digest_of_package(), **provenance},
+    }
+
+
+def load_manifest(folder: pathlib.Path) -> dict[str, Any]:
+    """Read the manifest of a frozen ensemble and validate its form. The digests are not compared with the files.
 
     Raises:
-        ArtifactError: it is missing, is not JSON, of an unknown format, or names what cannot be.
+        ArtifactError: the manifest is missing, malformed, or of an unknown format version.
     """
     path = folder / "manifest.json"
     try:
@@ -35,44 +56,46 @@ def read_manifest(folder: pathlib.Path) -> dict[str, Any]:
         raise ArtifactError(
             path, f"has format_version {version!r}, this version reads 1 to {FORMAT_VERSION}; pull the artifact again"
         )
-    for problem in _problems(manifest):
-        raise ArtifactError(path, f"{problem}; pull the artifact again")
+    if problems := _problems(manifest):
+        raise ArtifactError(path, f"{problems[0]}; pull the artifact again")
     return dict(manifest)
 
 
-def described(folder: pathlib.Path, manifest: Mapping[str, Any]) -> tuple[NetworkSettings, InferenceSettings]:
-    """The network of all members and the resolution at which they look.
+def settings_of_manifest(
+    folder: pathlib.Path, manifest: Mapping[str, Any]
+) -> tuple[NetworkSettings, InferenceSettings]:
+    """Return the settings of network and inference.
 
     Raises:
-        ArtifactError: the manifest describes none.
+        ArtifactError: they are missing or invalid.
     """
     try:
-        network = from_json(NetworkSettings, {"atrous_rates": [12, 24, 36], **manifest["network"]})
+        network = NetworkSettings.from_record(manifest["network"])
         return network, from_json(InferenceSettings, manifest["inference"])
     except (KeyError, TypeError, ValueError) as error:
         reason = repr(error) if isinstance(error, KeyError) else error
         raise ArtifactError(
-            folder / "manifest.json", f"describes no network ({reason}); pull the artifact again"
+            folder / "manifest.json", f"has no valid settings ({reason}); pull the artifact again"
         ) from error
 
 
 def _problems(manifest: Mapping[str, Any]) -> list[str]:
     files, members = manifest.get("files"), manifest.get("members")
     if not isinstance(files, dict):
-        return [f"names no files and digests, but {files!r:.60}"]
-    found = []
+        return [f"has no digests of files, but {files!r:.60}"]
+    problems = []
     for name, digest in files.items():
         if name in ("", ".", "..", "manifest.json") or pathlib.PurePath(name).name != name or not name.isprintable():
-            found.append(f"names a file outside of the folder, or none: {name!r:.60}")
+            problems.append(f"names a file outside of the folder, or an invalid one: {name!r:.60}")
         if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
-            found.append(f"gives no SHA-256 for {name!r:.60}: {digest!r:.60}")
+            problems.append(f"has no SHA-256 for {name!r:.60}, but {digest!r:.60}")
     if not isinstance(members, list) or not all(isinstance(name, str) for name in members) or not members:
-        return [*found, f"names no members, but {members!r:.60}"]
+        return [*problems, f"has no list of members, but {members!r:.60}"]
     n_members = manifest.get("n_members")
     if type(n_members) is not int or n_members != len(members) or len({*members}) != len(members):
-        found.append(f"names {len({*members})} members of {n_members!r:.60}")
-    if len(members) > _MOST_MEMBERS:
-        found.append(f"names {len(members)} members, of at most {_MOST_MEMBERS}")
+        problems.append(f"has {len({*members})} distinct members, but n_members is {n_members!r:.60}")
+    if len(members) > _MAX_MEMBERS:
+        problems.append(f"has {len(members)} members, more than {_MAX_MEMBERS}")
     if unlisted := {*members, "calibration.json", "golden.npz", "ensemble.onnx"} - set(files):
-        found.append(f"lists no digest for {sorted(unlisted)}")
-    return found
+        problems.append(f"has no digest for {sorted(unlisted)}")
+    return problems

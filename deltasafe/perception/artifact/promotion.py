@@ -1,10 +1,8 @@
-"""May a new ensemble replace the one in use? Non-inferiority on the same test images, by paired bootstrap.
+"""Promotion: a new ensemble (challenger) replaces the one in use (champion) if it is non-inferior (decision 36).
 
-The new one is *not worse* if, for each of NLL, Brier score and mIoU, the one-sided upper bound of what is lost
-(the new one's score against the old one's, both on the same drawn images) stays below a margin. All three must hold, so
-no correction for three tests is needed (intersection-union). A margin of zero would ask for proof of gain, and refuse
-nineteen out of twenty retrainings that are just as good; a mere "no significant loss" would pass whatever few
-images cannot tell apart.
+For each of NLL, Brier score and mIoU, the one-sided upper bound of the challenger's loss against the champion must not
+exceed a margin. The bound comes from a paired bootstrap over the same test images. All three tests must pass, so no
+correction for multiple tests is needed (intersection-union test).
 """
 
 import dataclasses
@@ -22,19 +20,19 @@ from deltasafe.perception.calibration.reliability import bootstrap_weights
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.settings import PromotionSettings
 
-__all__ = ["Loss", "PromotionDecision", "compare_ensembles", "decide_promotion", "scores_on"]
+__all__ = ["NonInferiorityTest", "PromotionDecision", "decide_promotion", "non_inferiority_tests", "score_ensemble"]
 
 
 @dataclasses.dataclass(frozen=True)
-class Loss:
-    """What the new ensemble loses by one measure; negative if it gains.
+class NonInferiorityTest:
+    """Result of the test of one metric. A loss is positive where the challenger is worse.
 
     Attributes:
-        measure: ``NLL`` or ``BS`` (as a share of the old ensemble's), ``mIoU`` (as a difference).
-        old, new: the scores over all test images.
+        measure: ``NLL`` or ``BS`` (loss as a fraction of the champion's value) or ``mIoU`` (loss as a difference).
+        old, new: values of champion and challenger over all test images.
         loss: point estimate.
-        bound: its one-sided upper bound.
-        margin: the most that the bound may be.
+        bound: its one-sided upper confidence bound.
+        margin: largest bound that passes.
     """
 
     measure: str
@@ -45,79 +43,79 @@ class Loss:
     margin: float
 
     @property
-    def tolerable(self) -> bool:
+    def passed(self) -> bool:
         return self.bound <= self.margin
 
     def __str__(self) -> str:
-        kept = "within" if self.tolerable else "beyond"
+        within = "within" if self.passed else "beyond"
         return (
             f"{self.measure} {self.old:.4f} -> {self.new:.4f}, loss {self.loss:+.2%} with an upper bound of "
-            f"{self.bound:+.2%}, {kept} the margin of {self.margin:.2%}"
+            f"{self.bound:+.2%}, {within} the margin of {self.margin:.2%}"
         )
 
 
 @dataclasses.dataclass(frozen=True)
 class PromotionDecision:
-    """Which ensemble is to be used.
+    """Which ensemble to use.
 
     Attributes:
-        champion: name of the folder of the ensemble to be used from now on.
-        challenger: name of the folder of the new one.
-        promoted: the new one is the one to be used.
+        champion: folder name of the ensemble to use from now on.
+        challenger: folder name of the new ensemble.
+        promoted: whether the two are the same.
         reason: one sentence.
-        losses: the measures compared; none where there was nothing to compare with.
-        n_images: test images.
+        losses: the non-inferiority tests; empty if none were needed.
     """
 
     champion: str
     challenger: str
     promoted: bool
     reason: str
-    losses: tuple[Loss, ...] = ()
-    n_images: int = 0
+    losses: tuple[NonInferiorityTest, ...] = ()
 
 
-def compare_ensembles(
+def non_inferiority_tests(
     old: tuple[ImageScores, ...], new: tuple[ImageScores, ...], settings: PromotionSettings
-) -> tuple[Loss, ...]:
-    """Losses of ``new`` against ``old``, scores of the same N images in the same order.
+) -> tuple[NonInferiorityTest, ...]:
+    """Test ``new`` against ``old``: scores of the same N images in the same order.
 
     Raises:
-        SettingsError: the scores are not of the same images.
+        SettingsError: the scores are of different images.
     """
     sizes = [[(image.n_pixels, image.n_hand_pixels) for image in images] for images in (old, new)]
     if sizes[0] != sizes[1] or not old:
         raise SettingsError("two ensembles are compared on the same images; score both on one test set")
     weights = bootstrap_weights(len(old), settings.n_bootstrap, settings.seed)
-    # row 0: every image once
+    # row 0: every image once, for the point estimate
     weights = np.vstack([np.ones(len(old), dtype=weights.dtype), weights])
     (_, old_miou, old_bs, old_nll), (_, new_miou, new_bs, new_nll) = (
         bootstrap_scores(images, weights).T for images in (old, new)
     )
-    drawn = {
+    samples = {
         "NLL": (old_nll, new_nll, new_nll / old_nll - 1.0, settings.nll_margin),
         "BS": (old_bs, new_bs, new_bs / old_bs - 1.0, settings.brier_margin),
         "mIoU": (old_miou, new_miou, old_miou - new_miou, settings.miou_margin),
     }
     return tuple(
-        Loss(name, float(a[0]), float(b[0]), float(loss[0]), float(np.quantile(loss[1:], settings.level)), margin)
-        for name, (a, b, loss, margin) in drawn.items()
+        NonInferiorityTest(
+            name, float(a[0]), float(b[0]), float(loss[0]), float(np.quantile(loss[1:], settings.level)), margin
+        )
+        for name, (a, b, loss, margin) in samples.items()
     )
 
 
-def scores_on(
-    folder: pathlib.Path, test: LabeledImageSet, kept: pathlib.Path, progress: Progress = silent
+def score_ensemble(
+    folder: pathlib.Path, test: LabeledImageSet, cache: pathlib.Path, progress: Progress = silent
 ) -> tuple[ImageScores, ...]:
-    """Scores of a frozen ensemble, as its users run it, on every image of ``test``; asked once for each test set.
+    """Score a frozen ensemble, with its temperature, on every image of ``test``.
 
     Args:
-        kept: folder of scores, by ensemble and digest of the test set.
+        cache: folder of scores, by ensemble and digest of the test set.
 
     Raises:
         ArtifactError: the ensemble is not intact.
     """
     folder = folder.resolve()
-    file = kept / folder.name / f"{test.digest[:16]}.json"
+    file = cache / folder.name / f"{test.digest[:16]}.json"
     if file.is_file():
         verify_artifact(folder)
         return tuple(from_json(ImageScores, entry) for entry in read_json(file))
@@ -134,37 +132,29 @@ def decide_promotion(
     challenger: pathlib.Path,
     champion: pathlib.Path | None,
     test: LabeledImageSet,
-    kept: pathlib.Path,
+    cache: pathlib.Path,
     settings: PromotionSettings,
     demotion_reason: str = "",
     progress: Progress = silent,
 ) -> PromotionDecision:
-    """Whether ``challenger`` takes the place of ``champion`` (None if there is none yet); see the module for the rule.
+    """Decide whether ``challenger`` replaces ``champion`` (None if there is none yet).
 
     Args:
-        kept: folder of scores, by ensemble and digest of the test set.
-        demotion_reason: why a person took the challenger out of use; what a person decided is not overruled by figures.
+        cache: folder of scores, by ensemble and digest of the test set.
+        demotion_reason: why a person demoted the challenger earlier; if not empty, it is not promoted whatever its scores.
 
     Raises:
-        ArtifactError: one of the two is not intact.
+        ArtifactError: an ensemble is not intact.
     """
-    if champion is not None and demotion_reason and champion.name != challenger.name:
-        return PromotionDecision(champion.name, challenger.name, False, f"taken out of use by hand: {demotion_reason}")
     if champion is None or champion.name == challenger.name:
-        reason = "the first of its kind" if champion is None else "the very ensemble that is in use"
+        reason = "the first ensemble" if champion is None else "already in use"
         return PromotionDecision(challenger.name, challenger.name, True, reason)
-    old, new = (scores_on(folder, test, kept, progress) for folder in (champion, challenger))
-    losses = compare_ensembles(old, new, settings)
-    beyond = [str(loss) for loss in losses if not loss.tolerable]
-    if beyond:
-        return PromotionDecision(
-            champion.name,
-            challenger.name,
-            False,
-            f"worse than {champion.name} on {len(test)} test images: {'; '.join(beyond)}",
-            losses,
-            len(test),
-        )
-    held = "; ".join(str(loss) for loss in losses)
-    reason = f"not worse than {champion.name} on {len(test)} test images: {held}"
-    return PromotionDecision(challenger.name, challenger.name, True, reason, losses, len(test))
+    if demotion_reason:
+        return PromotionDecision(champion.name, challenger.name, False, f"taken out of use by hand: {demotion_reason}")
+    old, new = (score_ensemble(folder, test, cache, progress) for folder in (champion, challenger))
+    tests = non_inferiority_tests(old, new, settings)
+    failed = [each for each in tests if not each.passed]
+    compared = f"{champion.name} on {len(test)} test images: {'; '.join(str(each) for each in failed or tests)}"
+    if failed:
+        return PromotionDecision(champion.name, challenger.name, False, f"worse than {compared}", tests)
+    return PromotionDecision(challenger.name, challenger.name, True, f"not worse than {compared}", tests)

@@ -1,7 +1,7 @@
-"""Who froze an ensemble: an OpenSSF model signature beside its folder, made and checked with keys of one's own.
+"""OpenSSF model signatures of frozen ensembles, made and verified with own keys, without a network (decision 37).
 
-Digests say that a folder is what its name says; a signature says who stands behind that name. It lies beside the folder
-(`ensemble-....sig`, a Sigstore bundle), so that the folder stays as it was named. Nothing here uses a network.
+The digests of an artifact show that it is unaltered; a signature shows who froze it. The signature is a Sigstore bundle
+beside the folder (`ensemble-....sig`), because the folder is named by its content.
 """
 
 import importlib.util
@@ -17,27 +17,27 @@ __all__ = ["sign_artifact", "signature_of", "verify_signature"]
 
 
 def signature_of(folder: str | pathlib.Path) -> pathlib.Path:
-    """Where the signature of a frozen ensemble lies: ``FOLDER.sig``, beside it."""
+    """Return the path of the signature: ``FOLDER.sig``, beside the folder."""
     resolved = pathlib.Path(folder).resolve()
     return resolved.with_name(f"{resolved.name}.sig")
 
 
 def sign_artifact(folder: str | pathlib.Path, private_key: str | pathlib.Path) -> pathlib.Path:
-    """Sign all files of an intact frozen ensemble; returns the signature, which replaces an older one.
+    """Sign all files of an intact frozen ensemble, replace an older signature, and return its path.
 
     Args:
-        private_key: PEM, not encrypted, on the curve P-256, P-384 or P-521.
+        private_key: unencrypted PEM file of the curve P-256, P-384 or P-521.
 
     Raises:
         ArtifactError: the ensemble is incomplete or altered.
-        DataError: the key is missing, or is none of that kind.
+        DataError: the key is missing, or of another kind.
         SettingsError: model-signing is not installed.
     """
     _require_installed()
     from model_signing.signing import Config
 
     verify_artifact(folder)
-    with _usable(private_key, "private key"):
+    with _key_errors(private_key, "private key"):
         config = Config().use_elliptic_key_signer(private_key=pathlib.Path(private_key))
     destination = signature_of(folder)
     with atomic_file(destination) as temporary:
@@ -46,11 +46,11 @@ def sign_artifact(folder: str | pathlib.Path, private_key: str | pathlib.Path) -
 
 
 def verify_signature(folder: str | pathlib.Path, public_key: str | pathlib.Path) -> None:
-    """Check that a frozen ensemble is intact, and that exactly its files were signed with the key's private half.
+    """Verify that a frozen ensemble is intact and that exactly its files were signed with the matching private key.
 
     Raises:
-        ArtifactError: the ensemble is incomplete or altered, or was not signed with this key, or a file was added.
-        DataError: the key is missing, or is no public key on the curve P-256, P-384 or P-521.
+        ArtifactError: the ensemble is incomplete or altered, was not signed with this key, or has an additional file.
+        DataError: the key is missing, or not a public key of the curve P-256, P-384 or P-521.
         SettingsError: model-signing is not installed.
     """
     _require_installed()
@@ -60,13 +60,13 @@ def verify_signature(folder: str | pathlib.Path, public_key: str | pathlib.Path)
     signature = signature_of(folder)
     if not signature.is_file():
         raise ArtifactError(signature, "is missing; pull it with the ensemble, or have the ensemble signed")
-    with _usable(public_key, "public key"):
+    with _key_errors(public_key, "public key"):
         config = Config().use_elliptic_key_verifier(public_key=pathlib.Path(public_key))
     try:
         config.verify(pathlib.Path(folder), signature)
-    except Exception as error:  # of many kinds, as the bundle is read
+    except Exception as error:  # parsing a bundle raises many types
         raise ArtifactError(
-            signature, f"is no signature of {pathlib.Path(folder).name} by {public_key} ({_line(error)})"
+            signature, f"is not a signature of {pathlib.Path(folder).name} by {public_key} ({_first_line(error)})"
         ) from error
 
 
@@ -77,17 +77,17 @@ def _require_installed() -> None:
 
 
 @contextmanager
-def _usable(key: str | pathlib.Path, kind: str) -> Iterator[None]:
-    """Turns what reading a PEM file can raise into one typed error."""
+def _key_errors(key: str | pathlib.Path, kind: str) -> Iterator[None]:
+    """Translate every exception of reading a PEM file to a `DataError`."""
     try:
         yield
     except FileNotFoundError:
         raise DataError(key, f"is missing; give the {kind} as a PEM file") from None
     except Exception as error:
         raise DataError(
-            key, f"is no {kind} that can be used ({_line(error)}); give a PEM file, unencrypted, of curve P-256"
+            key, f"is not a usable {kind} ({_first_line(error)}); give an unencrypted PEM file of the curve P-256"
         ) from error
 
 
-def _line(error: Exception) -> str:
+def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0].strip() or type(error).__name__

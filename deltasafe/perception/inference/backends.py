@@ -1,4 +1,4 @@
-"""What computes an ensemble's logits: torch, member after member, or the frozen program in one of two runtimes."""
+"""Inference backends: the networks in torch, or the frozen ONNX program in ONNX Runtime or OpenVINO."""
 
 import contextlib
 import importlib.util
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from deltasafe.errors import ArtifactError, SettingsError
 
-__all__ = ["BACKENDS", "InferenceBackend", "TorchBackend", "backend_of_program", "select_backend"]
+__all__ = ["BACKENDS", "InferenceBackend", "TorchBackend", "load_program", "select_backend"]
 
 BACKENDS = ("auto", "torch", "onnxruntime", "openvino")
 _SPIN_US = "50"
@@ -22,21 +22,21 @@ _SMALLEST_SIZE = (32, 32)
 
 
 class InferenceBackend(Protocol):
-    """One way of asking all members at once; threads may call it side by side.
+    """Computes the logits of all members; thread-safe.
 
     Attributes:
-        name: one of `BACKENDS`, not ``auto``.
+        name: one of `BACKENDS`, except ``auto``.
     """
 
     name: str
 
     def member_logits(self, images: NDArray[np.uint8]) -> Tensor:
-        """(B, h, w, 3) uint8 at the networks' resolution -> (B, M, h, w) float32."""
+        """Return logits (B, M, h, w), float32, of images (B, h, w, 3), uint8, at the networks' resolution."""
         ...
 
 
 class TorchBackend:
-    """The networks themselves, called one after another; the reference, and the only one for a GPU."""
+    """Runs the networks one after another. It is the reference for the other backends, and the only one for GPUs."""
 
     name = "torch"
 
@@ -45,15 +45,15 @@ class TorchBackend:
         self.device = device
 
     def member_logits(self, images: NDArray[np.uint8]) -> Tensor:
-        seen = torch.from_numpy(images).to(self.device).permute(0, 3, 1, 2)
-        return torch.stack([network(seen) for network in self.members], dim=1)
+        batch = torch.from_numpy(images).to(self.device).permute(0, 3, 1, 2)
+        return torch.stack([network(batch) for network in self.members], dim=1)
 
 
 def select_backend(name: str, device: torch.device) -> str:
-    """``auto`` is ONNX Runtime where it is installed and the device is a CPU, torch otherwise.
+    """Return the backend to use: ``auto`` is ONNX Runtime on a CPU if it is installed, else torch.
 
     Raises:
-        SettingsError: there is no backend of that name, its package is not installed, or it is none for the device.
+        SettingsError: the backend is unknown, not installed, or does not run on ``device``.
     """
     if name not in BACKENDS:
         raise SettingsError(f"backend must be one of {BACKENDS}, got {name!r}")
@@ -61,27 +61,29 @@ def select_backend(name: str, device: torch.device) -> str:
         return "onnxruntime" if device.type == "cpu" and importlib.util.find_spec("onnxruntime") else "torch"
     if name != "torch":
         if device.type != "cpu":
-            raise SettingsError(f"backend {name!r} runs on the CPU, not on {device}; use torch there")
+            raise SettingsError(f"backend {name!r} runs on the CPU only, not on {device}; use torch")
         if importlib.util.find_spec(name) is None:
-            raise SettingsError(f"backend {name!r} is not installed; pip install {name}, or use another one")
+            raise SettingsError(f"backend {name!r} is not installed; pip install {name}, or use another backend")
     return name
 
 
-def backend_of_program(name: str, program: pathlib.Path) -> InferenceBackend:
-    """``onnxruntime`` or ``openvino`` with a program that `export_onnx` has written; as many threads as torch."""
-    return _OnnxRuntime(program) if name == "onnxruntime" else _OpenVino(program)
+def load_program(backend: str, program: pathlib.Path) -> InferenceBackend:
+    """Load a program of `export_onnx` into ``onnxruntime`` or ``openvino``, with as many threads as torch has.
+
+    Raises:
+        ArtifactError: the runtime cannot load the program.
+    """
+    return _OnnxRuntime(program) if backend == "onnxruntime" else _OpenVino(program)
 
 
 @contextlib.contextmanager
-def _runnable(program: pathlib.Path, backend: str) -> Iterator[None]:
-    """Turns what a runtime raises at a program that it cannot read into one typed error."""
+def _load_errors(program: pathlib.Path, backend: str) -> Iterator[None]:
+    """Translate every exception to an `ArtifactError`: each runtime raises types of its own."""
     try:
         yield
-    except Exception as error:  # each runtime has kinds of its own
+    except Exception as error:
         reason = " ".join(str(error).split())[:200]
-        raise ArtifactError(
-            program, f"is no program that {backend} can run ({reason}); pull the artifact again"
-        ) from error
+        raise ArtifactError(program, f"cannot be loaded by {backend} ({reason}); pull the artifact again") from error
 
 
 class _OnnxRuntime:
@@ -93,15 +95,14 @@ class _OnnxRuntime:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = torch.get_num_threads()
         options.inter_op_num_threads = 1
-        # threads wait actively from one operation to the next, but no longer: on a machine that does other work as
-        # well, such waiting takes time from others and from the thread that is waited for
+        # limits busy waiting between operations: on a loaded machine it takes CPU time from the thread that is awaited
         options.add_session_config_entry("session.intra_op.spin_duration_us", _SPIN_US)
         options.add_session_config_entry("session.force_spinning_stop", "1")
-        with _runnable(program, self.name):
+        with _load_errors(program, self.name):
             self._session = onnxruntime.InferenceSession(str(program), options, providers=["CPUExecutionProvider"])
             names = [each.name for each in (*self._session.get_inputs(), *self._session.get_outputs())]
             if names[0] != "rgb" or "member_logits" not in names:
-                raise ValueError(f"it maps {names[0]} to {names[1:]}, not rgb to member_logits")
+                raise ValueError(f"its input is {names[0]}, not rgb, or no output of {names[1:]} is member_logits")
 
     def member_logits(self, images: NDArray[np.uint8]) -> Tensor:
         return torch.from_numpy(self._session.run(["member_logits"], {"rgb": images})[0])
@@ -114,16 +115,16 @@ class _OpenVino:
         import openvino
 
         core = openvino.Core()
-        wanted: dict[str, Any] = {
+        options: dict[str, Any] = {
             "PERFORMANCE_HINT": "LATENCY",
             "INFERENCE_NUM_THREADS": torch.get_num_threads(),
             "INFERENCE_PRECISION_HINT": "f32",
         }
-        # a request holds the input and output of one inference at a time; with the hint LATENCY all threads of the
-        # runtime serve one inference, so that a request per thread would need more memory and save no time
+        # one request with a lock: a request holds input and output of one inference, so threads cannot share it; with
+        # the hint LATENCY one inference uses all threads, so a request per thread would save no time
         self._lock = threading.Lock()
-        with _runnable(program, self.name):
-            self._request = core.compile_model(core.read_model(program), "CPU", wanted).create_infer_request()
+        with _load_errors(program, self.name):
+            self._request = core.compile_model(core.read_model(program), "CPU", options).create_infer_request()
             # the first inference of a process initializes OpenVINO's bindings, which deadlocks if two threads do it
             self.member_logits(np.zeros((1, *_SMALLEST_SIZE, 3), np.uint8))
 

@@ -1,4 +1,4 @@
-"""Uniformly weighted mixture of M members: p_occupied of every pixel (section III-B)."""
+"""Ensemble of M networks: p_occupied of each pixel is the mean over the members (section III-B)."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from torch.nn.functional import interpolate
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.temperature import pooled_probability
 from deltasafe.perception.inference.backends import InferenceBackend, TorchBackend
-from deltasafe.perception.inference.lazy_backend import LazyEngine
+from deltasafe.perception.inference.lazy_backend import LazyBackend
 from deltasafe.perception.settings import InferenceSettings
 from deltasafe.perception.training.network import SegmentationNetwork
 
@@ -18,16 +18,16 @@ __all__ = ["Ensemble", "probability"]
 
 
 class Ensemble:
-    """M networks that are asked together.
+    """M networks with uniform weights.
 
-    Any number of threads may use one ensemble. It can be pickled and copied before and after its first use, and used
-    in forked processes, where it computes with one thread.
+    Thread-safe. Can be pickled and copied before and after its first use, and used in a forked process, where it
+    computes with one thread.
 
     Args:
-        members: networks in evaluation mode, at least one.
-        settings: the resolution at which they look.
-        device: ``auto``, ``cpu``, ``cuda``, ...
-        temperature: divides the logit of the mean (pool, then calibrate); 1 leaves it as it is.
+        members: networks, at least one.
+        settings: input resolution of the networks.
+        device: ``cpu``, ``cuda``, ...
+        temperature: divides the logit of the mean; 1 changes nothing.
     """
 
     def __init__(
@@ -42,20 +42,20 @@ class Ensemble:
         self.settings = settings
         self.temperature = temperature
         self.device = torch.device(device)
-        self._engine = LazyEngine()
+        self._lazy_backend = LazyBackend()
         self.members = nn.ModuleList(members).to(self.device).to(memory_format=torch.channels_last).eval()
 
     def __len__(self) -> int:
         return len(self.members)
 
     def p_occupied(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Probability that a pixel shows the obstacle.
+        """Predict the probability that a pixel shows the obstacle: the mean over members, with the temperature.
 
         Args:
             rgb: (H, W, 3) uint8.
 
         Returns:
-            (H, W) float32 in [0, 1]: the mean over members, recalibrated by the temperature.
+            (H, W) float32 in [0, 1].
 
         Raises:
             SettingsError: ``rgb`` has another shape or type.
@@ -63,16 +63,16 @@ class Ensemble:
         return pooled_probability(self.member_p_occupied(rgb), self.temperature).astype(np.float32)
 
     def member_p_occupied(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """(M, H, W) float32: what each member thinks of ``rgb``, (H, W, 3) uint8; the temperature is not applied."""
-        stacked: NDArray[np.float32] = self._member_p_occupied(rgb).cpu().numpy()
-        return stacked
+        """Predict p_occupied with each member, without the temperature: (H, W, 3) uint8 -> (M, H, W) float32."""
+        predictions: NDArray[np.float32] = self._member_p_occupied(rgb).cpu().numpy()
+        return predictions
 
     @property
     def backend(self) -> InferenceBackend:
-        """What computes the logits; created on first use."""
-        return self._engine.get(self._create_engine)
+        """The backend that computes the logits, created on first use."""
+        return self._lazy_backend.get(self._create_backend)
 
-    def _create_engine(self) -> InferenceBackend:
+    def _create_backend(self) -> InferenceBackend:
         return TorchBackend(self.members, self.device)
 
     @torch.inference_mode()
@@ -82,7 +82,7 @@ class Ensemble:
         return probability(self.backend.member_logits(self.resized(rgb)[None])[0], rgb.shape[:2])
 
     def resized(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """(h, w, 3) uint8: the image at the resolution of the networks."""
+        """Scale an image (H, W, 3) uint8 to the input resolution of the networks."""
         height, width = self.settings.network_size(*rgb.shape[:2])
         shrinks = height * width < rgb.shape[0] * rgb.shape[1]
         scaled = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
@@ -90,6 +90,6 @@ class Ensemble:
 
 
 def probability(logits: Tensor, size: tuple[int, ...]) -> Tensor:
-    """The one conversion point: logits (B, h, w) -> p_occupied (B, H, W) at ``size`` = (H, W)."""
+    """Convert logits (B, h, w) to p_occupied (B, H, W) at ``size`` = (H, W); nothing else does (decision 28)."""
     scaled = interpolate(logits[:, None], size, mode="bilinear", align_corners=False)
     return scaled.sigmoid_()[:, 0]

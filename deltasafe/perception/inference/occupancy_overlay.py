@@ -1,4 +1,4 @@
-"""p_occupied over the photograph that it belongs to."""
+"""Overlay of p_occupied on its image."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +9,11 @@ _TINT = np.array([255.0, 120.0, 0.0])
 
 
 def occupancy_overlay(rgb: NDArray[np.uint8], p_occupied: NDArray[np.float32], delta: float) -> NDArray[np.uint8]:
-    """The image tinted by probability, with the border of {p_occupied > delta} drawn in white.
+    """Tint an image by p_occupied, and draw the border of the region with p_occupied > ``delta`` in white.
 
     Args:
         rgb: (H, W, 3) uint8.
         p_occupied: (H, W) float32.
-        delta: threshold of the border.
 
     Returns:
         (H, W, 3) uint8.

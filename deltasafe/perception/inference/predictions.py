@@ -1,4 +1,4 @@
-"""Predictions of all members, stored once per image and read from disk as they are needed."""
+"""Predictions of all members on a set of images, stored on disk and memory-mapped on access."""
 
 import pathlib
 from collections.abc import Callable, Sequence
@@ -18,20 +18,20 @@ Array = NDArray[np.float32]
 
 
 class MemberPredictions(Sequence[Array]):
-    """A folder of N files ``NNN.npy``, each (M, H, W) float32 p_occupied, opened memory-mapped when indexed.
+    """A folder of N files ``NNNN.npy``, each (M, H, W) float32 p_occupied, memory-mapped when indexed.
 
-    Ensembles of growing size are means over the first members of these files: nothing is predicted twice.
+    Ensembles of any size are means over the first members, so each image is predicted once.
 
     Attributes:
-        image_ids: names of the N images, in order.
+        image_ids: ids of the N images, in order.
         n_members: M.
     """
 
     def __init__(self, folder: str | pathlib.Path) -> None:
-        """Open what `MemberPredictions.write` has written.
+        """Open a folder of `MemberPredictions.write`.
 
         Raises:
-            DataError: the index or a file is missing or of another shape than stated.
+            DataError: the index is missing or malformed.
         """
         self.folder = pathlib.Path(folder)
         index = read_json(self.folder / "index.json")
@@ -49,25 +49,24 @@ class MemberPredictions(Sequence[Array]):
         predict: Callable[[str], NDArray[np.floating]],
         progress: Progress = silent,
     ) -> "MemberPredictions":
-        """Predict every image once, with all members, and store the result atomically.
+        """Predict every image with all members, and replace ``folder`` atomically.
 
         Args:
-            folder: destination; replaced as a whole.
-            image_ids: unique names of the images.
-            predict: image id -> (M, H, W) p_occupied of the members.
+            image_ids: unique ids of the images.
+            predict: returns the members' p_occupied (M, H, W) of an image id.
 
         Raises:
-            SettingsError: no image, repeated ids, or predictions that are no probabilities.
+            SettingsError: no image, repeated ids, or a prediction outside [0, 1] or of another shape.
         """
         if not image_ids or len(set(image_ids)) != len(image_ids):
-            raise SettingsError(f"image_ids must be unique and at least one, got {len(image_ids)} names")
+            raise SettingsError(f"image_ids must be unique and at least one, got {len(image_ids)} ids")
         n_members = 0
         with atomic_folder(folder) as temporary:
             for index, image_id in enumerate(image_ids):
                 stack = np.asarray(predict(image_id), dtype=np.float32)
                 if stack.ndim != 3 or 0 in stack.shape or n_members not in (0, len(stack)):
                     raise SettingsError(
-                        f"predictions of {image_id} must have shape (M, H, W), M as before, got {stack.shape}"
+                        f"predictions of {image_id} must have shape (M, H, W) with the same M, got {stack.shape}"
                     )
                 require_p_occupied(stack)
                 n_members = len(stack)

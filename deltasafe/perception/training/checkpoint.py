@@ -1,4 +1,4 @@
-"""State of an unfinished training as one safetensors file: network, optimizer, losses so far. No pickle."""
+"""Checkpoint of an unfinished training as one safetensors file: network, optimizer state and losses. No pickle."""
 
 import json
 import pathlib
@@ -12,14 +12,19 @@ __all__ = ["Checkpoint"]
 
 
 class Checkpoint:
-    """The last state of one training; it belongs to one ``identity`` (settings, data and seed)."""
+    """The latest state of one training.
+
+    Args:
+        file: path of the safetensors file.
+        identity: digest of settings, data and seed; a file with another identity is ignored.
+    """
 
     def __init__(self, file: pathlib.Path, identity: str) -> None:
         self.file = file
         self.identity = identity
 
     def save(self, network: nn.Module, optimizer: torch.optim.Optimizer, losses: list[float]) -> None:
-        """Replace the checkpoint, atomically."""
+        """Replace the file atomically."""
         from safetensors.torch import save_file
 
         tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
@@ -32,26 +37,30 @@ class Checkpoint:
             save_file({key: value.contiguous() for key, value in tensors.items()}, temporary, metadata)
 
     def restore(self, network: nn.Module, optimizer: torch.optim.Optimizer) -> list[float]:
-        """Load the state in place and return the losses so far; empty where there is none that fits.
+        """Load the state in place and return the losses so far.
 
-        A damaged checkpoint is none: it changes nothing, and the training begins anew.
+        If the file is missing, damaged, or of another training, nothing changes and the list is empty.
         """
-        tensors = self._intact()
+        tensors = self._read()
         weights, state = _with_prefix(tensors, "network."), _by_parameter(_with_prefix(tensors, "optimizer."))
         if state is None or "losses" not in tensors or _shapes(weights) != _shapes(network.state_dict()):
             return []
         network.load_state_dict(weights)
         optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
         for parameter, moments in optimizer.state.items():
-            # the fused update walks memory, so moments must lie in memory as their parameter does
+            # the fused update assumes that moments have the memory layout of their parameter (channels last)
             for name, value in moments.items():
                 if value.shape == parameter.shape:
                     moments[name] = torch.empty_like(parameter).copy_(value)
         losses: list[float] = tensors["losses"].tolist()
         return losses
 
-    def _intact(self) -> dict[str, Tensor]:
-        """All tensors of the file; none if it is damaged, of another training, or has weights that are not finite."""
+    def discard(self) -> None:
+        """Remove the file, if there is one."""
+        self.file.unlink(missing_ok=True)
+
+    def _read(self) -> dict[str, Tensor]:
+        """Return all tensors; none if the file is missing, damaged, of another identity, or has non-finite values."""
         from safetensors import SafetensorError, safe_open
 
         if not self.file.is_file():
@@ -66,12 +75,9 @@ class Checkpoint:
             return {}
         return tensors if all(bool(value.isfinite().all()) for value in tensors.values()) else {}
 
-    def discard(self) -> None:
-        self.file.unlink(missing_ok=True)
-
 
 def _by_parameter(tensors: dict[str, Tensor]) -> dict[int, dict[str, Tensor]] | None:
-    """The optimizer's state by the number of the parameter; None if a name has none."""
+    """Group optimizer tensors named ``INDEX.NAME`` by parameter index; None if a name has another form."""
     state: dict[int, dict[str, Tensor]] = {}
     for key, value in tensors.items():
         index, _, name = key.partition(".")

@@ -1,4 +1,4 @@
-"""How the loss of members fell."""
+"""Figure of training losses."""
 
 import pathlib
 from collections.abc import Mapping, Sequence
@@ -14,19 +14,17 @@ __all__ = ["plot_loss_curves"]
 def plot_loss_curves(
     losses: Mapping[str, Sequence[float]], steps_per_epoch: int, destination: str | pathlib.Path
 ) -> None:
-    """Training loss of each member over epochs, a running mean over a tenth of an epoch; a PNG.
+    """Plot training loss over epochs as a PNG, smoothed by a running mean over a tenth of an epoch.
 
     Args:
-        losses: name of the member -> mean cross-entropy (nats a pixel) of each step.
-        steps_per_epoch: steps that make an epoch.
+        losses: name of a member -> mean cross-entropy of each step, in nats per pixel.
     """
     figure = Figure(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
-    window = max(1, steps_per_epoch // 10)
     for name, values in losses.items():
-        kept = min(window, len(values))
-        smooth = np.convolve(values, np.ones(kept) / kept, mode="valid")
-        axes.plot((np.arange(len(smooth)) + kept) / steps_per_epoch, smooth, label=name, linewidth=1.4)
+        window = min(max(1, steps_per_epoch // 10), len(values))
+        smooth = np.convolve(values, np.ones(window) / window, mode="valid")
+        axes.plot((np.arange(len(smooth)) + window) / steps_per_epoch, smooth, label=name, linewidth=1.4)
     axes.set_yscale("log")
     axes.set_xlabel("epoch")
     axes.set_ylabel("cross-entropy (nats / pixel)")

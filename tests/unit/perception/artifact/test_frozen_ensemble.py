@@ -1,3 +1,5 @@
+import dataclasses
+import hashlib
 import json
 import pathlib
 import shutil
@@ -16,6 +18,7 @@ from deltasafe.perception.artifact.frozen_ensemble import (
     verify_artifact,
     write_frozen_ensemble,
 )
+from deltasafe.perception.artifact.model_card import model_card
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
@@ -46,8 +49,6 @@ def image(height=48, width=64, seed=0):
 
 @pytest.fixture(scope="module")
 def members(tmp_path_factory):
-    import dataclasses
-
     record = {"settings": {"network": dataclasses.asdict(NETWORK)}, "data_digest": "d" * 64}
     return [
         Member.write(tmp_path_factory.mktemp("member"), build_network(NETWORK, seed), {**record, "seed": seed})
@@ -65,7 +66,14 @@ def copy(frozen, tmp_path):
     return shutil.copytree(frozen, tmp_path / frozen.name)
 
 
-def test_the_mean_of_the_members_is_the_ensemble(members):
+def edit_manifest(folder, **changes):
+    """Change entries of the manifest; entries of ``files`` are added."""
+    manifest = json.loads((folder / "manifest.json").read_text())
+    files = {**manifest["files"], **changes.pop("files", {})}
+    (folder / "manifest.json").write_text(json.dumps({**manifest, **changes, "files": files}))
+
+
+def test_ensemble_is_mean_of_members(members):
     ensemble = Ensemble([member.network() for member in members], INFERENCE)
     each = ensemble.member_p_occupied(image(51, 70))
     assert each.shape == (2, 51, 70)
@@ -75,7 +83,7 @@ def test_the_mean_of_the_members_is_the_ensemble(members):
 
 
 @pytest.mark.parametrize("size", [(1, 1), (17, 300), (640, 480)])
-def test_any_size_is_answered_with_probabilities(frozen, size):
+def test_predictions_are_probabilities_at_any_image_size(frozen, size):
     p_occupied = deltasafe.load_ensemble(frozen).p_occupied(image(*size))
     assert p_occupied.shape == size
     assert p_occupied.dtype == np.float32
@@ -88,12 +96,12 @@ def test_any_size_is_answered_with_probabilities(frozen, size):
     [image().astype(np.float32), image()[..., 0], np.zeros((0, 4, 3), np.uint8)],
     ids=["f32", "2d", "none"],
 )
-def test_what_is_no_image_is_refused(members, wrong):
+def test_arrays_that_are_not_rgb_images_are_refused(members, wrong):
     with pytest.raises(SettingsError, match="uint8"):
         Ensemble([members[0].network()], INFERENCE).p_occupied(wrong)
 
 
-def test_aspect_ratio_is_kept_and_area_is_about_what_was_asked():
+def test_network_size_keeps_aspect_ratio_and_area():
     settings = InferenceSettings(256, 192)
     assert settings.network_size(288, 384) == (192, 256)
     height, width = settings.network_size(1000, 500)
@@ -101,19 +109,19 @@ def test_aspect_ratio_is_kept_and_area_is_about_what_was_asked():
     assert height * width == pytest.approx(256 * 192, rel=0.15)
 
 
-def test_freezing_twice_gives_the_same_name_and_no_second_folder(members, frozen):
+def test_freezing_twice_gives_one_folder(members, frozen):
     again = write_frozen_ensemble(members, INFERENCE, CALIBRATION, image(), frozen.parent)
     assert again == frozen
     assert [path.name for path in frozen.parent.iterdir()] == [frozen.name]
 
 
-def test_loaded_and_trained_give_the_same_bits(members, frozen):
+def test_frozen_ensemble_predicts_bit_identically_to_members(members, frozen):
     rgb = image(100, 90, seed=3)
     expected = Ensemble([member.network() for member in members], INFERENCE, temperature=0.6).p_occupied(rgb)
     assert np.array_equal(load_ensemble(frozen, backend="torch").p_occupied(rgb), expected)
 
 
-def test_the_temperature_is_applied_to_the_mean_and_to_no_member(members, frozen):
+def test_temperature_is_applied_to_mean_only(members, frozen):
     rgb = image(30, 50, seed=4)
     plain = Ensemble([member.network() for member in members], INFERENCE)
     each = load_ensemble(frozen, backend="torch").member_p_occupied(rgb)
@@ -123,9 +131,7 @@ def test_the_temperature_is_applied_to_the_mean_and_to_no_member(members, frozen
     assert np.abs(load_ensemble(frozen).p_occupied(rgb) - plain.p_occupied(rgb)).max() > 1e-3
 
 
-def test_an_ensemble_of_the_first_format_is_read_as_it_is(copy, tmp_path):
-    import hashlib
-
+def test_format_1_loads_with_torch_and_without_temperature(copy, tmp_path):
     rgb = image(20, 30)
     old = {
         "n_images": 50,
@@ -140,12 +146,8 @@ def test_an_ensemble_of_the_first_format_is_read_as_it_is(copy, tmp_path):
         "temperature": 1.0,
     }
     (copy / "calibration.json").write_text(json.dumps(old))
-    manifest = json.loads((copy / "manifest.json").read_text())
-    assert manifest["format_version"] == 3
-    manifest["format_version"] = 1
     digest = hashlib.sha256((copy / "calibration.json").read_bytes()).hexdigest()
-    manifest["files"]["calibration.json"] = digest
-    (copy / "manifest.json").write_text(json.dumps(manifest))
+    edit_manifest(copy, format_version=1, files={"calibration.json": digest})
     pulled = copy.rename(tmp_path / "pulled")
     ensemble = load_ensemble(pulled)
     assert ensemble.backend.name == "torch"
@@ -156,16 +158,25 @@ def test_an_ensemble_of_the_first_format_is_read_as_it_is(copy, tmp_path):
     assert np.array_equal(ensemble.p_occupied(rgb), mean)
 
 
-def test_a_damaged_calibration_is_named(tmp_path):
+@pytest.mark.parametrize(("version", "backend"), [(2, "torch"), (3, "onnxruntime")])
+def test_formats_2_and_3_reproduce_golden_image(copy, tmp_path, version, backend):
+    manifest = json.loads((copy / "manifest.json").read_text())
+    assert manifest["format_version"] == 3
+    del manifest["network"]["atrous_rates"]  # the first versions stored none
+    edit_manifest(copy, format_version=version, network=manifest["network"])
+    ensemble = load_ensemble(copy.rename(tmp_path / "pulled"))
+    assert ensemble.backend.name == backend
+    assert golden_difference(ensemble) <= 1e-4
+
+
+def test_damaged_calibration_is_named(tmp_path):
     for text in ('{"surplus": 1}', "[1]"):
         (tmp_path / "calibration.json").write_text(text)
         with pytest.raises(DataError, match=r"calibration.json: is not a calibration"):
             Calibration.load(tmp_path / "calibration.json")
 
 
-def test_another_calibration_is_another_artifact(members, frozen, tmp_path):
-    import dataclasses
-
+def test_other_calibration_gives_other_artifact(members, frozen, tmp_path):
     other = write_frozen_ensemble(
         members, INFERENCE, dataclasses.replace(CALIBRATION, temperature=1.5), image(), tmp_path
     )
@@ -175,7 +186,7 @@ def test_another_calibration_is_another_artifact(members, frozen, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["member-1.safetensors", "calibration.json", "golden.npz", "ensemble.onnx"])
-def test_one_changed_byte_is_found_in_any_file(copy, name):
+def test_one_altered_byte_is_found_in_any_file(copy, name):
     data = bytearray((copy / name).read_bytes())
     data[len(data) // 2] ^= 1
     (copy / name).write_bytes(data)
@@ -184,34 +195,27 @@ def test_one_changed_byte_is_found_in_any_file(copy, name):
     assert raised.value.path.name == name
 
 
-def test_a_missing_file_is_named(copy):
+def test_missing_file_is_named(copy):
     (copy / "member-0.safetensors").unlink()
     with pytest.raises(ArtifactError, match=r"member-0.safetensors: is missing"):
         verify_artifact(copy)
 
 
-def test_a_forged_manifest_contradicts_the_name_of_the_folder(copy):
-    manifest = json.loads((copy / "manifest.json").read_text())
+def test_altered_manifest_contradicts_name_of_folder(copy):
     (copy / "calibration.json").write_text("{}")
-    import hashlib
-
-    manifest["files"]["calibration.json"] = hashlib.sha256(b"{}").hexdigest()
-    (copy / "manifest.json").write_text(json.dumps(manifest))
+    edit_manifest(copy, files={"calibration.json": hashlib.sha256(b"{}").hexdigest()})
     with pytest.raises(ArtifactError, match="its manifest belongs to"):
         verify_artifact(copy)
 
 
-def test_a_manifest_may_not_point_outside_of_its_folder(copy, tmp_path):
+def test_manifest_that_names_file_outside_of_folder_is_refused(copy, tmp_path):
     (tmp_path / "secret").write_text("x")
-    manifest = json.loads((copy / "manifest.json").read_text())
-    manifest["files"]["../secret"] = "0" * 64
-    (copy / "manifest.json").write_text(json.dumps(manifest))
-    renamed = copy.rename(tmp_path / "pulled")
+    edit_manifest(copy, files={"../secret": "0" * 64})
     with pytest.raises(ArtifactError, match="outside of the folder"):
-        verify_artifact(renamed)
+        verify_artifact(copy.rename(tmp_path / "pulled"))
 
 
-def test_a_file_more_and_a_link_out_of_the_folder_are_refused(copy, tmp_path):
+def test_additional_file_and_link_out_of_folder_are_refused(copy, tmp_path):
     (copy / "run.py").write_text("print()")
     with pytest.raises(ArtifactError, match=r"run\.py: does not belong"):
         verify_artifact(copy)
@@ -224,14 +228,14 @@ def test_a_file_more_and_a_link_out_of_the_folder_are_refused(copy, tmp_path):
         verify_artifact(copy)
 
 
-def test_weights_that_are_not_finite_are_refused(members, tmp_path):
+def test_non_finite_weights_are_refused(members, tmp_path):
     network = members[0].network()
     next(network.parameters()).data[0] = float("nan")
-    with pytest.raises(ArtifactError, match="not finite"):
+    with pytest.raises(ArtifactError, match="non-finite"):
         Member.write(tmp_path, network, members[0].record).network()
 
 
-def test_an_unknown_format_and_a_missing_folder_are_refused(copy, tmp_path):
+def test_unknown_format_and_missing_folder_are_refused(copy, tmp_path):
     (copy / "manifest.json").write_text('{"format_version": 99}')
     with pytest.raises(ArtifactError, match="format_version 99"):
         verify_artifact(copy)
@@ -239,11 +243,11 @@ def test_an_unknown_format_and_a_missing_folder_are_refused(copy, tmp_path):
         verify_artifact(tmp_path / "none")
 
 
-def test_the_golden_image_is_answered_as_stored(frozen):
+def test_golden_image_is_reproduced(frozen):
     assert golden_difference(load_ensemble(frozen)) <= 1e-4
 
 
-def test_an_ensemble_that_answers_otherwise_fails_on_its_golden_image(frozen):
+def test_ensemble_with_changed_weights_fails_on_golden_image(frozen):
     ensemble = load_ensemble(frozen, backend="torch")
     for parameter in ensemble.members[0].parameters():
         parameter.data.mul_(1.5)
@@ -251,14 +255,14 @@ def test_an_ensemble_that_answers_otherwise_fails_on_its_golden_image(frozen):
         golden_difference(ensemble)
 
 
-def test_nothing_in_the_artifact_names_this_machine(frozen):
+def test_artifact_contains_no_path_of_this_machine(frozen):
     for file in frozen.iterdir():
         data = file.read_bytes()
         assert str(pathlib.Path.cwd()).encode() not in data, file.name
         assert b"site-packages" not in data, file.name
 
 
-def test_it_loads_where_neither_dagster_nor_mlflow_can_be_imported(frozen):
+def test_ensemble_loads_without_dagster_and_mlflow(frozen):
     program = f"""
 import sys
 class Refused:
@@ -273,15 +277,15 @@ assert p.shape == (30, 40), p.shape
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_verify_on_the_command_line(frozen, copy, capsys):
+def test_verify_command(frozen, copy, capsys):
     assert main(["verify", str(frozen)]) == 0
     assert "M = 2" in capsys.readouterr().out
-    (copy / "model_card.md").write_text("better than it is")
+    (copy / "model_card.md").write_text("altered")
     assert main(["verify", str(copy)]) == 1
     assert "model_card.md: was altered" in capsys.readouterr().err
 
 
-def test_predict_on_the_command_line(frozen, tmp_path, capsys):
+def test_predict_command(frozen, tmp_path, capsys):
     import cv2
 
     picture = tmp_path / "hand.png"
@@ -294,3 +298,17 @@ def test_predict_on_the_command_line(frozen, tmp_path, capsys):
     assert np.abs(stored / 65535 - load_ensemble(frozen).p_occupied(rgb)).max() <= 1e-5
     assert main(["predict", str(frozen), str(tmp_path / "none.png")]) == 1
     assert "none.png" in capsys.readouterr().err
+
+
+def test_model_card_states_supported_delta_or_that_there_is_none():
+    manifest = {
+        "n_members": 2,
+        "seeds": [0, 1],
+        "network": dataclasses.asdict(NETWORK),
+        "inference": dataclasses.asdict(INFERENCE),
+    }
+    card = model_card(manifest, CALIBRATION)
+    assert "support is **0.03** (at 95% confidence)" in card
+    assert "| 0.9700 | 0.9300 | 0.0700 | 0.0200 | 0.0100 |" in card
+    none = model_card(manifest, dataclasses.replace(CALIBRATION, smallest_supported_delta=None))
+    assert "support **no** delta" in none

@@ -1,3 +1,4 @@
+import hashlib
 import json
 import pathlib
 import shutil
@@ -50,38 +51,36 @@ def signed(tmp_path_factory, keys):
 
 @pytest.fixture
 def copy(signed, tmp_path):
-    """A signed ensemble that a test may spoil."""
+    """A copy of the signed ensemble that a test may change."""
     folder = shutil.copytree(signed, tmp_path / signed.name)
     shutil.copyfile(signature_of(signed), signature_of(folder))
     return folder
 
 
-def test_what_was_signed_is_verified_and_keeps_its_name(copy, keys):
+def test_signed_ensemble_is_verified_and_unchanged(copy, keys):
     verify_signature(copy, keys["ours"][1])
     verify_artifact(copy)
-    assert signature_of(copy).parent == copy.parent, "beside the folder, which stays as it was named"
+    assert signature_of(copy).parent == copy.parent
 
 
-def test_another_key_is_refused(copy, keys):
-    with pytest.raises(ArtifactError, match=r"is no signature of ensemble-.* by .*theirs"):
+def test_other_key_is_refused(copy, keys):
+    with pytest.raises(ArtifactError, match=r"is not a signature of ensemble-.* by .*theirs"):
         verify_signature(copy, keys["theirs"][1])
 
 
-def test_a_forger_who_puts_our_key_s_name_on_it_is_refused(copy, keys):
-    """The bundle names its key by a digest: replacing that name does not make the signature ours."""
+def test_signature_by_other_key_under_our_key_id_is_refused(copy, keys):
+    """The bundle identifies its key by a digest, which is not signed."""
     ours = json.loads(signature_of(copy).read_text())["verificationMaterial"]
     sign_artifact(copy, keys["theirs"][0])
     forged = json.loads(signature_of(copy).read_text())
     assert forged["verificationMaterial"] != ours
     signature_of(copy).write_text(json.dumps({**forged, "verificationMaterial": ours}))
-    with pytest.raises(ArtifactError, match="is no signature"):
+    with pytest.raises(ArtifactError, match="is not a signature"):
         verify_signature(copy, keys["ours"][1])
 
 
-def test_an_altered_file_is_refused_before_and_after_the_digests_are_adjusted(copy, keys):
-    """Whoever alters a file can make the folder consistent again, but not the signature."""
-    import hashlib
-
+def test_altered_file_is_refused_before_and_after_updating_digests(copy, keys):
+    """An attacker can make the digests consistent again, but not the signature."""
     card = copy / "model_card.md"
     card.write_text(card.read_text().replace("Limits", "No limits"))
     with pytest.raises(ArtifactError, match=r"model_card\.md: was altered"):
@@ -93,32 +92,32 @@ def test_an_altered_file_is_refused_before_and_after_the_digests_are_adjusted(co
     renamed = copy.rename(copy.with_name(f"ensemble-{digest[:16]}"))
     shutil.copyfile(signature_of(copy), signature_of(renamed))
     verify_artifact(renamed)
-    with pytest.raises(ArtifactError, match="is no signature"):
+    with pytest.raises(ArtifactError, match="is not a signature"):
         verify_signature(renamed, keys["ours"][1])
 
 
-def test_an_added_file_and_a_broken_or_missing_signature_are_refused(copy, keys):
+def test_added_file_and_broken_or_missing_signature_are_refused(copy, keys):
     (copy / "extra.txt").write_text("unsigned")
     with pytest.raises(ArtifactError, match=r"extra\.txt"):
         verify_signature(copy, keys["ours"][1])
     (copy / "extra.txt").unlink()
     verify_signature(copy, keys["ours"][1])
     signature_of(copy).write_text("{}")
-    with pytest.raises(ArtifactError, match="is no signature"):
+    with pytest.raises(ArtifactError, match="is not a signature"):
         verify_signature(copy, keys["ours"][1])
     signature_of(copy).unlink()
     with pytest.raises(ArtifactError, match=r"\.sig: is missing"):
         verify_signature(copy, keys["ours"][1])
 
 
-def test_an_altered_ensemble_is_not_signed(copy, keys):
+def test_altered_ensemble_is_not_signed(copy, keys):
     (copy / "calibration.json").unlink()
     with pytest.raises(ArtifactError, match=r"calibration\.json: is missing"):
         sign_artifact(copy, keys["ours"][0])
 
 
 @pytest.mark.parametrize("name", ["rsa", "other curve", "no key", "missing"])
-def test_a_key_of_another_kind_is_named(copy, keys, tmp_path, name):
+def test_unusable_key_is_refused_by_path(copy, keys, tmp_path, name):
     no_key = tmp_path / "no_key.pem"
     no_key.write_text("nothing")
     private, public = {"no key": (no_key, no_key), "missing": (tmp_path / "a", tmp_path / "a")}.get(name) or keys[name]
@@ -132,25 +131,24 @@ def test_a_key_of_another_kind_is_named(copy, keys, tmp_path, name):
     assert signature_of(copy).read_bytes() == before
 
 
-def test_without_the_package_it_says_what_to_install(copy, keys, monkeypatch):
+def test_missing_package_is_named(copy, keys, monkeypatch):
     monkeypatch.setattr(signature.importlib.util, "find_spec", lambda name: None)
     for attempt in (lambda: sign_artifact(copy, keys["ours"][0]), lambda: verify_signature(copy, keys["ours"][1])):
         with pytest.raises(SettingsError, match=r"deltasafe\[signing\]"):
             attempt()
 
 
-def test_the_commands(copy, keys, capsys):
+def test_sign_and_verify_commands(copy, keys, capsys):
     signature_of(copy).unlink()
     assert main(["sign", str(copy), "--key", str(keys["ours"][0])]) == 0
     assert str(signature_of(copy)) in capsys.readouterr().out
     assert main(["verify", str(copy), "--public-key", str(keys["ours"][1])]) == 0
     assert "signed with" in capsys.readouterr().out
     assert main(["verify", str(copy), "--public-key", str(keys["theirs"][1])]) == 1
-    assert "is no signature" in capsys.readouterr().err
+    assert "is not a signature" in capsys.readouterr().err
 
 
-def test_openssf_s_own_command_agrees(copy, keys):
-    """The signature is an OpenSSF model signature: their tool verifies it, and refuses another key."""
+def test_openssf_command_verifies_signature_and_refuses_other_key(copy, keys):
     command = [
         sys.executable,
         "-m",

@@ -1,5 +1,3 @@
-"""Stored member predictions: written once, read memory-mapped, damaged files named."""
-
 import numpy as np
 import pytest
 
@@ -12,19 +10,19 @@ STACKS = {
 }
 
 
-def test_what_is_written_is_read_back_and_every_image_is_predicted_once(tmp_path):
-    asked, told = [], []
+def test_written_predictions_are_read_back_and_each_image_is_predicted_once(tmp_path):
+    predicted, reports = [], []
 
     def predict(image_id):
-        asked.append(image_id)
+        predicted.append(image_id)
         return STACKS[image_id]
 
     written = MemberPredictions.write(
-        tmp_path / "p", list(STACKS), predict, lambda done, total, _: told.append((done, total))
+        tmp_path / "p", list(STACKS), predict, lambda done, total, _: reports.append((done, total))
     )
     opened = MemberPredictions(tmp_path / "p")
-    assert asked == ["wide", "tall"]
-    assert told == [(1, 2), (2, 2)]
+    assert predicted == ["wide", "tall"]
+    assert reports == [(1, 2), (2, 2)]
     assert (opened.image_ids, opened.n_members, len(opened)) == (("wide", "tall"), 2, 2)
     for stack, again, expected in zip(written, opened, STACKS.values(), strict=True):
         np.testing.assert_array_equal(stack, expected)
@@ -35,7 +33,7 @@ def test_what_is_written_is_read_back_and_every_image_is_predicted_once(tmp_path
         opened[2]
 
 
-def test_nothing_is_left_of_a_failed_run(tmp_path):
+def test_failed_run_leaves_no_files(tmp_path):
     def predict(image_id):
         if image_id == "tall":
             raise RuntimeError("out of memory")
@@ -55,22 +53,22 @@ def test_nothing_is_left_of_a_failed_run(tmp_path):
         (np.full((1, 3, 4), np.nan), r"\[0, 1\]"),
     ],
 )
-def test_what_is_no_probability_is_not_stored(tmp_path, stack, match):
+def test_invalid_predictions_are_refused(tmp_path, stack, match):
     with pytest.raises(SettingsError, match=match):
         MemberPredictions.write(tmp_path / "p", ["a"], lambda _: stack)
     assert not (tmp_path / "p").exists()
 
 
-def test_repeated_names_and_a_changing_number_of_members_are_refused(tmp_path):
-    for names in ([], ["a", "a"]):
+def test_repeated_ids_and_changing_number_of_members_are_refused(tmp_path):
+    for image_ids in ([], ["a", "a"]):
         with pytest.raises(SettingsError, match="unique"):
-            MemberPredictions.write(tmp_path / "p", names, lambda _: np.zeros((1, 2, 2)))
+            MemberPredictions.write(tmp_path / "p", image_ids, lambda _: np.zeros((1, 2, 2)))
     sizes = {"a": 2, "b": 3}
     with pytest.raises(SettingsError, match="predictions of b"):
         MemberPredictions.write(tmp_path / "p", ["a", "b"], lambda name: np.zeros((sizes[name], 2, 2)))
 
 
-def test_damaged_folders_are_named(tmp_path):
+def test_damaged_files_are_named(tmp_path):
     folder = tmp_path / "p"
     with pytest.raises(DataError, match="missing"):
         MemberPredictions(folder)

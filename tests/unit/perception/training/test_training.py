@@ -15,7 +15,7 @@ from deltasafe.perception.data.loader import Batches
 from deltasafe.perception.settings import NetworkSettings, TrainingSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.network import build_network
-from deltasafe.perception.training.precision import prepare
+from deltasafe.perception.training.precision import convert_to_low_precision
 from deltasafe.perception.training.train_member import learning_rate, train_member
 
 SMALL = TrainingSettings(
@@ -27,20 +27,32 @@ class Stopped(Exception):
     pass
 
 
+def stop_at(step):
+    def on_step(report):
+        if report.step == step:
+            raise Stopped
+
+    return on_step
+
+
+def fail_on_step(report):
+    raise AssertionError("trained again")
+
+
 @pytest.fixture(scope="module")
 def data():
-    """Bright squares on dark ground: a set that a network can learn within a few steps."""
+    """Bright squares on a dark background, which a network learns within a few steps."""
     rng = np.random.default_rng(0)
     masks = np.zeros((16, 48, 64), np.uint8)
     for mask in masks:
         row, column = rng.integers(0, 24), rng.integers(0, 32)
         mask[row : row + 24, column : column + 32] = 1
     images = (masks[..., None] * 180 + rng.integers(0, 60, (16, 48, 64, 3))).astype(np.uint8)
-    return SetInMemory(images, masks)
+    return InMemorySet(images, masks)
 
 
 @dataclasses.dataclass(frozen=True)
-class SetInMemory:
+class InMemorySet:
     images: np.ndarray
     masks: np.ndarray
     digest: str = "0" * 64
@@ -55,7 +67,7 @@ def weights(member):
     return load_file(member.weights)
 
 
-def test_the_stand_in_has_what_the_real_set_has():
+def test_in_memory_set_has_attributes_of_augmented_set():
     assert {"images", "masks", "digest", "labels"} <= {field.name for field in dataclasses.fields(AugmentedSet)} | set(
         vars(AugmentedSet)
     )
@@ -66,14 +78,7 @@ def uninterrupted(data, tmp_path_factory):
     return train_member(data, SMALL, 7, tmp_path_factory.mktemp("whole"), "cpu")
 
 
-def test_a_killed_training_ends_bit_by_bit_where_an_uninterrupted_one_ends(data, uninterrupted, tmp_path):
-    def stop_at(step):
-        def on_step(report):
-            if report.step == step:
-                raise Stopped
-
-        return on_step
-
+def test_resume_gives_identical_weights(data, uninterrupted, tmp_path):
     for step in (2, 5):  # before the first checkpoint, and between two of them
         with pytest.raises(Stopped):
             train_member(data, SMALL, 7, tmp_path, "cpu", stop_at(step))
@@ -86,15 +91,15 @@ def test_a_killed_training_ends_bit_by_bit_where_an_uninterrupted_one_ends(data,
     assert sorted(path.name for path in tmp_path.iterdir()) == ["member.json", "weights.safetensors"]
 
 
-def test_two_trainings_never_work_in_one_folder(data, tmp_path, monkeypatch):
-    monkeypatch.setattr("deltasafe.perception.training.train_member._PATIENCE_S", 0.0)
+def test_second_training_in_same_folder_is_refused(data, tmp_path, monkeypatch):
+    monkeypatch.setattr("deltasafe.perception.training.train_member._LOCK_TIMEOUT_S", 0.0)
     with FileLock(tmp_path / "training.lock"):
         with pytest.raises(LockedError, match=f"is in use by process {os.getpid()} of "):
             train_member(data, SMALL, 7, tmp_path, "cpu")
         assert [path.name for path in tmp_path.iterdir()] == ["training.lock"]
 
 
-def test_a_training_that_waited_finds_the_member_that_the_other_made(data, uninterrupted, tmp_path, monkeypatch):
+def test_training_that_waited_for_lock_reuses_member(data, uninterrupted, tmp_path, monkeypatch):
     def finish_meanwhile(lock):
         shutil.copytree(uninterrupted.folder, tmp_path, dirs_exist_ok=True)
         return lock
@@ -102,47 +107,37 @@ def test_a_training_that_waited_finds_the_member_that_the_other_made(data, unint
     monkeypatch.setattr(FileLock, "__enter__", finish_meanwhile)
     monkeypatch.setattr(FileLock, "__exit__", lambda *_: None)
 
-    def never(report):
-        raise AssertionError
-
-    assert train_member(data, SMALL, 7, tmp_path, "cpu", never).record == uninterrupted.record
+    assert train_member(data, SMALL, 7, tmp_path, "cpu", fail_on_step).record == uninterrupted.record
 
 
-def test_a_finished_member_is_not_trained_again(data, uninterrupted):
-    def never(report):
-        raise AssertionError
-
-    again = train_member(data, SMALL, 7, uninterrupted.folder, "cpu", never)
+def test_finished_member_is_not_trained_again(data, uninterrupted):
+    again = train_member(data, SMALL, 7, uninterrupted.folder, "cpu", fail_on_step)
     assert again.record == uninterrupted.record
 
 
-def test_a_checkpoint_of_other_settings_is_not_continued(data, tmp_path):
-    def stop(report):
-        if report.step == 4:
-            raise Stopped
-
+def test_checkpoint_of_other_settings_is_ignored(data, tmp_path):
     with pytest.raises(Stopped):
-        train_member(data, SMALL, 7, tmp_path, "cpu", stop)
+        train_member(data, SMALL, 7, tmp_path, "cpu", stop_at(4))
     steps = []
     train_member(data, dataclasses.replace(SMALL, epochs=1), 7, tmp_path, "cpu", lambda r: steps.append(r.step))
     assert steps[0] == 1
 
 
-def test_members_of_other_seeds_differ_in_weights_and_in_order(data, uninterrupted, tmp_path):
+def test_seed_changes_losses_and_identity_but_not_ensemble_identity(data, uninterrupted, tmp_path):
     other = train_member(data, SMALL, 8, tmp_path, "cpu")
     assert other.losses != uninterrupted.losses
     assert other.ensemble_identity == uninterrupted.ensemble_identity
     assert other.record["identity"] != uninterrupted.record["identity"]
 
 
-def test_the_loss_falls_and_begins_near_that_of_a_coin(data, tmp_path):
+def test_loss_starts_near_log_2_and_falls(data, tmp_path):
     longer = dataclasses.replace(SMALL, epochs=6)
     losses = train_member(data, longer, 0, tmp_path, "cpu").losses
     assert losses[0] == pytest.approx(math.log(2), abs=0.4)
     assert losses[-1] < 0.5 * losses[0]
 
 
-def test_an_altered_member_is_refused(data, tmp_path):
+def test_altered_or_incomplete_member_is_refused(data, tmp_path):
     member = train_member(data, dataclasses.replace(SMALL, epochs=1), 0, tmp_path, "cpu")
     with member.weights.open("r+b") as file:
         file.seek(-1, 2)
@@ -154,13 +149,13 @@ def test_an_altered_member_is_refused(data, tmp_path):
         Member.load(tmp_path)
 
 
-def test_too_small_a_set_is_refused_before_anything_is_written(data, tmp_path):
+def test_set_smaller_than_a_batch_is_refused_before_writing(data, tmp_path):
     with pytest.raises(SettingsError, match="batch_size 32"):
         train_member(data, dataclasses.replace(SMALL, batch_size=32), 0, tmp_path / "new", "cpu")
     assert not (tmp_path / "new").exists()
 
 
-def test_one_cycle_rises_to_its_peak_and_falls_to_nothing():
+def test_one_cycle_rises_to_peak_and_falls_to_zero():
     settings = TrainingSettings(epochs=4, peak_learning_rate=1e-3)
     rates = [learning_rate(settings, step, 50) for step in range(200)]
     assert np.argmax(rates) == 49
@@ -170,7 +165,7 @@ def test_one_cycle_rises_to_its_peak_and_falls_to_nothing():
     assert (np.diff(rates[50:]) < 0).all()
 
 
-def test_exponential_decay_is_a_step_an_epoch():
+def test_exponential_schedule_decays_once_per_epoch():
     settings = TrainingSettings(schedule="exponential", peak_learning_rate=2e-4, epoch_decay=0.8)
     rates = [learning_rate(settings, step, 10) for step in range(30)]
     assert rates == pytest.approx([2e-4] * 10 + [1.6e-4] * 10 + [1.28e-4] * 10)
@@ -189,13 +184,13 @@ def test_exponential_decay_is_a_step_an_epoch():
     ],
     ids=str,
 )
-def test_settings_outside_their_domain_are_refused(wrong):
+def test_invalid_training_settings_are_refused_by_name(wrong):
     (name,) = wrong
     with pytest.raises(SettingsError, match=name):
         TrainingSettings(**wrong)
 
 
-def test_members_of_different_settings_are_not_judged_as_one_ensemble(data, uninterrupted, tmp_path):
+def test_members_of_different_settings_are_not_evaluated_together(data, uninterrupted, tmp_path):
     from deltasafe.perception.data.labeled_images import LabeledImageSet
     from deltasafe.perception.evaluate_and_freeze import evaluate_ensemble
 
@@ -209,8 +204,8 @@ def test_members_of_different_settings_are_not_judged_as_one_ensemble(data, unin
     assert not (tmp_path / "report").exists()
 
 
-def test_members_side_by_side_are_those_trained_alone(data, tmp_path):
-    """Two processes against this one; one thread each, so that sums are taken in the same order."""
+def test_parallel_training_gives_same_losses_as_single_training(data, tmp_path):
+    """With the same number of threads: sums in another order would differ."""
     from deltasafe.perception.data.augmentation.settings import AugmentationSettings
     from deltasafe.perception.data.augmented_set import augment_images
     from deltasafe.perception.data.labeled_images import LabeledImageSet
@@ -221,27 +216,27 @@ def test_members_side_by_side_are_those_trained_alone(data, tmp_path):
     stored = augment_images(few, tmp_path / "set", AugmentationSettings(n_variants=2, width=64, height=48), workers=1)
     settings = dataclasses.replace(SMALL, epochs=1)
     jobs = [MemberJob(f"member_{seed}", seed, tmp_path / f"side-{seed}") for seed in range(2)]
-    heard = set()
+    reports = set()
     together = train_members(
         jobs,
         tmp_path / "set",
         settings,
         device="cpu",
         workers=2,
-        on_step=lambda name, step: heard.add((name, step.step)),
+        on_step=lambda name, step: reports.add((name, step.step)),
     )
-    assert heard == {(f"member_{seed}", step) for seed in range(2) for step in (1, 2)}
-    cores = torch.get_num_threads()
+    assert reports == {(f"member_{seed}", step) for seed in range(2) for step in (1, 2)}
+    n_threads = torch.get_num_threads()
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
     try:
         alone = train_member(stored, settings, 1, tmp_path / "alone", "cpu")
     finally:
-        torch.set_num_threads(cores)
+        torch.set_num_threads(n_threads)
     assert together["member_1"].losses == alone.losses
     assert together["member_0"].losses != alone.losses
 
 
-def test_small_images_are_means_over_areas_and_come_first(data):
+def test_first_steps_see_area_averaged_small_images(data):
     batches = Batches(data, dataclasses.replace(SMALL, small_share=0.5, small_scale=0.5), seed=3)
     plain = Batches(data, dataclasses.replace(SMALL, small_share=0.0), seed=3)
     assert batches.n_steps == plain.n_steps == 8
@@ -256,19 +251,19 @@ def test_small_images_are_means_over_areas_and_come_first(data):
             assert torch.equal(labels, mask)
 
 
-def test_every_epoch_shows_every_image_once(data):
+def test_epoch_contains_every_image_once(data):
     batches = Batches(data, dataclasses.replace(SMALL, small_share=0.0), seed=5)
     seen = [batches.read(step, torch.device("cpu"))[0] for step in range(batches.per_epoch)]
     pictures = {picture.numpy().tobytes() for batch in seen for picture in batch}
     assert pictures == {np.ascontiguousarray(picture.transpose(2, 0, 1)).tobytes() for picture in data.images}
 
 
-def test_bfloat16_changes_dense_convolutions_alone_and_little():
+def test_bfloat16_converts_dense_convolutions_only():
     images = torch.randint(0, 256, (2, 3, 48, 64), generator=torch.Generator().manual_seed(0))
     network = build_network(SMALL.network, 1).eval()
     with torch.no_grad():
         exact = network(images)
-        prepare(network, "bfloat16", torch.device("cpu"))
+        convert_to_low_precision(network, "bfloat16", torch.device("cpu"))
         low = network(images)
     assert low.dtype == torch.float32
     assert not torch.equal(exact, low)
