@@ -141,7 +141,7 @@ def decide_promotion(
 
     Args:
         cache: folder of scores, by ensemble and digest of the test set.
-        demotion_reason: why a person demoted the challenger earlier; if not empty, it is not promoted whatever its scores.
+        demotion_reason: why a person demoted the challenger earlier; if not empty, it is not promoted.
 
     Raises:
         ArtifactError: an ensemble is not intact.
