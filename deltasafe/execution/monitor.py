@@ -85,7 +85,7 @@ class Monitor:
         """Return why the arm must stop, or an empty string.
 
         Args:
-            is_planned: whether this is the planned motion. Approach and retreat leave the field that the camera sees.
+            is_planned: whether this is the planned motion. Approach and retreat leave the camera's view.
         """
         previous_s, self._time_s = self._time_s, time_s
         if not previous_s < time_s < math.inf:  # the tests of clearance and camera are scheduled by this clock

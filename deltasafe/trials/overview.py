@@ -42,11 +42,11 @@ def tile_pictures(pictures: Sequence[pathlib.Path], destination: pathlib.Path, c
     """Write images of one size as tiles, 640 pixels wide, to one JPEG."""
     tiles = []
     for path in pictures:
-        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR_RGB)
-        if picture is None:
+        image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR_RGB)
+        if image is None:
             raise DataError(path, "is not an image; make it again")
-        height = round(640 * picture.shape[0] / picture.shape[1])
-        tiles.append(cv2.resize(picture, (640, height), interpolation=cv2.INTER_AREA))
+        height = round(640 * image.shape[0] / image.shape[1])
+        tiles.append(cv2.resize(image, (640, height), interpolation=cv2.INTER_AREA))
     _write_sheet(tiles, columns, destination, ground=255, quality=80)
 
 

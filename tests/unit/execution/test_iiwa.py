@@ -106,10 +106,10 @@ def test_links_are_in_view_only_between_start_and_goal():
 
 def test_viewpoint_projects_like_the_camera():
     points = np.array([[0.1, -0.05, 0.03], [-0.12, 0.08, 0.0]])
-    seen = Viewpoint.of_camera(CAMERA, 640).pixels(points)
+    pixels = Viewpoint.of_camera(CAMERA, 640).pixels(points)
     depth = 0.5 - points[:, 2]
     expected = np.stack([320 + 768.75 * points[:, 0] / depth, 240 - 768.75 * points[:, 1] / depth], axis=1)
-    np.testing.assert_allclose(seen, expected, atol=1e-6)
+    np.testing.assert_allclose(pixels, expected, atol=1e-6)
 
 
 def test_friction_is_validated():

@@ -17,12 +17,12 @@ from deltasafe.scene import Camera, grid_from_image
 from deltasafe.trials.executed_path_figure import arc_length_of_samples_m, executed_over_image
 
 CAMERA = Camera(160, 120, 192.0, 192.0, 80.0, 60.0, np.array([0.0, 0.0, 0.5]), np.diag([1.0, -1.0, -1.0]))
-SEEN = np.clip(1.5 - np.hypot(*(np.mgrid[:120, :160] + 0.5 - np.array([70, 80])[:, None, None])) / 20, 0, 1)
-SEEN = SEEN.astype(np.float32)
+P_OCCUPIED = np.clip(1.5 - np.hypot(*(np.mgrid[:120, :160] + 0.5 - np.array([70, 80])[:, None, None])) / 20, 0, 1)
+P_OCCUPIED = P_OCCUPIED.astype(np.float32)
 
 
 def planned(start):
-    grid = grid_from_image(SEEN, CAMERA, 0.0, 0.05)
+    grid = grid_from_image(P_OCCUPIED, CAMERA, 0.0, 0.05)
     return plan_motion(grid, start, Pose(0.13, 0.0, 0.03), MotionSettings(n_iterations=300), 0)
 
 
@@ -65,7 +65,7 @@ def test_complete_and_stopped_executions_are_drawn(tmp_path: pathlib.Path) -> No
         ("whole", executed(motion)),
         ("stopped", dataclasses.replace(executed(motion), stop_reason="error")),
     ):
-        executed_over_image(image, SEEN, CAMERA, motion, execution, tmp_path / f"{name}.png", title="scene")
+        executed_over_image(image, P_OCCUPIED, CAMERA, motion, execution, tmp_path / f"{name}.png", title="scene")
         drawn = imread(tmp_path / f"{name}.png")
         assert min(drawn.shape[:2]) > 400
         assert drawn[..., :3].std() > 0.1
@@ -76,7 +76,7 @@ def test_without_a_motion_nothing_is_drawn(tmp_path: pathlib.Path) -> None:
     execution = executed(planned(Pose(-0.13, 0.0, 0.03)))
     image = np.full((120, 160, 3), 90, np.uint8)
     with pytest.raises(SettingsError, match="no motion"):
-        executed_over_image(image, SEEN, CAMERA, planned(Pose(0, -0.02, 0.03)), execution, tmp_path / "a.png")
+        executed_over_image(image, P_OCCUPIED, CAMERA, planned(Pose(0, -0.02, 0.03)), execution, tmp_path / "a.png")
     with pytest.raises(SettingsError, match="camera's size"):
-        executed_over_image(image[1:], SEEN, CAMERA, planned(Pose(0, -0.02, 0.03)), execution, tmp_path / "a.png")
+        executed_over_image(image[1:], P_OCCUPIED, CAMERA, planned(Pose(0, -0.02, 0.03)), execution, tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []
