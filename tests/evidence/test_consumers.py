@@ -28,7 +28,7 @@ def test_wheel_contains_exactly_the_library(wheel):
         for path in (ROOT / "deltasafe").rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    assert "deltasafe/planner_study/paper_curves.json" in library, "package data is included"
+    assert "deltasafe/studies/planner/paper_curves.json" in library, "package data is included"
     assert {name for name in names if ".dist-info/" not in name} == library
 
 

@@ -122,7 +122,8 @@ def augment_images(
         folder: destination; an existing folder is replaced when the new one is complete.
         settings: of a scheme of `deltasafe.perception.data.schemes`; their class selects it. Default: our scheme.
         backgrounds: folder of photographs without hands, for our scheme. None: procedural surfaces only.
-        workers: number of processes; the result does not depend on it. 1 works in this process.
+        workers: number of processes; the result does not depend on it. 1 works in this process; more need the guard
+            ``if __name__ == "__main__":`` in a script.
         progress: called after each original, in the order in which they are finished.
 
     Raises:

@@ -43,7 +43,11 @@ def train_ensemble(
     data and seed.
 
     Args:
-        device, workers, on_step: see `train_members`.
+        n_members: M.
+        device: ``cpu``, ``cuda`` or ``auto``.
+        workers: members trained at a time; 0 is one per core on a CPU and one on a GPU. Each member is trained in a
+            process of its own, so a script needs the guard ``if __name__ == "__main__":``.
+        on_step: called with the member's name and a `StepReport` after every step.
 
     Raises:
         SettingsError: ``n_members`` is less than 1, or for the reasons of `train_members`.
