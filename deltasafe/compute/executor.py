@@ -89,8 +89,8 @@ def worker_lost_error(task: Task, reason: str = "") -> WorkerLostError:
     """Create the error of a task that lost its worker process on every attempt."""
     return WorkerLostError(
         f"{task.name}: the process that ran it was lost {RETRIES + 1} times{reason and f' ({reason})'}; find out what "
-        "ends it. Too little memory: run again with fewer workers, finished work is kept. A script that starts workers needs "
-        'the guard `if __name__ == "__main__":`'
+        "ends it. Too little memory: run again with fewer workers, finished work is kept. A script that starts workers "
+        'needs the guard `if __name__ == "__main__":`'
     )
 
 
