@@ -109,7 +109,7 @@ operation-record: $(STAMP) ## measure the cost of orchestration, retraining and 
 	$(BIN)/python -m evidence.operation share --record docs/results/operation.json
 	$(BIN)/python -m evidence.operation tests --record docs/results/operation.json
 
-results: $(STAMP) ## write docs/results/README.md from the records beside it
+results: $(STAMP) ## write docs/results/README.md and the figures of README and docs/ from the records
 	$(BIN)/python -m evidence.results_page
 
 pictures: $(BROWSER) ## take the screenshots of the UI for the README

@@ -1,6 +1,6 @@
-"""Write `docs/results/README.md`: recorded figures beside their targets.
+"""Write `docs/results/README.md`, and the blocks of figures in README.md and docs/ (`evidence.result_blocks`).
 
-Nothing is measured here. Every figure is read from the records beside the page, which name command, commit and machine.
+Nothing is measured here. Every figure is read from the records in docs/results, which name command, commit and machine.
 """
 
 import argparse
@@ -10,10 +10,10 @@ import pathlib
 import sys
 from typing import Any
 
+from deltasafe.errors import DataError
 from deltasafe.io.storage import atomic_file, read_json
+from evidence.result_blocks import filled_pages
 from pipelines.home import PROJECT
-
-RESULTS = PROJECT / "docs" / "results"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Line:
     def target(self) -> str:
         """Return the target in words."""
         if math.isfinite(self.at_least):
-            return f"at least {self.at_least:g}"
-        return f"at most {self.at_most:g}" if math.isfinite(self.at_most) else ""
+            return f"at least {_plain(self.at_least)}"
+        return f"at most {_plain(self.at_most)}" if math.isfinite(self.at_most) else ""
 
     def row(self, value: float | None) -> str:
         """Return the row of the table."""
@@ -161,10 +161,34 @@ LINES: dict[str, tuple[Line, ...]] = {
         Line("reliability", "dependencies_audited", "packages checked for known vulnerabilities", "g"),
         Line("reliability", "vulnerabilities", "known vulnerabilities", "g", at_most=0),
     ),
+    "Repository": (
+        Line("house", "python_lines", "lines of Python without tests", ",.0f", at_most=36_967),
+        Line("house", "modules", "modules", "g"),
+        Line("house", "longest_module", "longest module, lines", "g", at_most=400),
+        Line("house", "longest_function", "longest function, lines", "g", at_most=60),
+        Line("house", "most_parameters", "most parameters of a function", "g", at_most=7),
+        Line("house", "import_cycles", "import cycles between modules or rooms", "g", at_most=0),
+        Line("house", "docs_warnings", "warnings of the documentation build", "g", at_most=0),
+        Line("house", "reader_found_of_15", "answers that a new reader found, of 15 questions", "g"),
+    ),
 }
 
 
-def results_page(results: pathlib.Path = RESULTS) -> str:
+def _plain(bound: float) -> str:
+    return f"{bound:,.0f}" if bound >= 10_000 else f"{bound:g}"
+
+
+def generated_pages(root: pathlib.Path = PROJECT) -> dict[pathlib.Path, str]:
+    """Create the text of every page of a checkout that holds figures.
+
+    Raises:
+        DataError: a block of a page cannot be filled.
+    """
+    results = root / "docs" / "results"
+    return {results / "README.md": results_page(results), **filled_pages(root)}
+
+
+def results_page(results: pathlib.Path) -> str:
     """Create the page from the records in a folder."""
     text = [
         "# Measured figures\n",
@@ -200,18 +224,22 @@ def _origins(records: dict[str, dict[str, Any]]) -> list[str]:
     return rows
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, root: pathlib.Path = PROJECT) -> int:
     """Run ``python -m evidence.results_page``."""
     parser = argparse.ArgumentParser(prog="python -m evidence.results_page", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if the page is outdated")
+    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page is outdated")
     options = parser.parse_args(arguments)
-    page, text = RESULTS / "README.md", results_page()
-    if options.check:
-        return int(not page.is_file() or page.read_text(encoding="utf-8") != text)
-    with atomic_file(page) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    print(f"written: {page}")
-    return 0
+    try:
+        pages = generated_pages(root)
+    except DataError as error:
+        sys.exit(f"results_page: {error}")
+    outdated = [page for page, text in pages.items() if not page.is_file() or page.read_text(encoding="utf-8") != text]
+    for page in outdated:
+        print(f"{'outdated' if options.check else 'written'}: {page.relative_to(root)}")
+        if not options.check:
+            with atomic_file(page) as temporary:
+                temporary.write_text(pages[page], encoding="utf-8")
+    return int(options.check and bool(outdated))
 
 
 if __name__ == "__main__":

@@ -1,19 +1,45 @@
-"""Rules that no single module can show: who may import whom, how long a module is, what an import costs."""
+"""Rules for the whole code: import contracts and cycles, sizes of modules and functions, what an import loads."""
 
 import ast
-import json
 import pathlib
 import subprocess
 import sys
 
 import pytest
 
+from evidence.house import PACKAGES, functions, import_cycles
+
 ROOT = pathlib.Path(__file__).parents[2]
-MODULES = sorted(
-    path
-    for package in ("deltasafe", "assets", "pipelines", "generator", "evidence")
-    for path in (ROOT / package).rglob("*.py")
-)
+MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+COMPILED = "numba passes arrays and numbers faster than objects"
+TO_SPLIT = "to be split"
+EXCEPTIONS = {
+    "assets/training.py: train_and_record": TO_SPLIT,
+    "deltasafe/execution/distance.py: _points_distance": COMPILED,
+    "deltasafe/execution/distance.py: _solid_distance": COMPILED,
+    "deltasafe/execution/impedance.py: _torques": COMPILED,
+    "deltasafe/execution/simulate.py: execute": TO_SPLIT,
+    "deltasafe/execution/verdict.py: judge": TO_SPLIT,
+    "deltasafe/perception/artifact/frozen_ensemble.py: write_frozen_ensemble": TO_SPLIT,
+    "deltasafe/perception/artifact/model_card.py: model_card": TO_SPLIT,
+    "deltasafe/perception/calibration/evaluation.py: evaluate": TO_SPLIT,
+    "deltasafe/perception/calibration/write_report.py: write_calibration_report": TO_SPLIT,
+    "deltasafe/perception/training/train_member.py: _train": TO_SPLIT,
+    "deltasafe/planning/collision/clearance.py: _clearance_of_cover": COMPILED,
+    "deltasafe/planning/collision/clearance.py: level_clearance": COMPILED,
+    "deltasafe/planning/search/rrt_star.py: RrtStar.__init__": TO_SPLIT,
+    "deltasafe/planning/search/rrt_star.py: grow_tree": TO_SPLIT,
+    "deltasafe/planning/search/shortcutting.py: _move": COMPILED,
+    "deltasafe/planning/search/shortcutting.py: _refine": COMPILED,
+    "deltasafe/planning/search/shortcutting.py: refine_path": TO_SPLIT,
+    "deltasafe/studies/planner/search_figures.py: search_in_space": TO_SPLIT,
+    "deltasafe/studies/safety/motions.py: parametric_motion": TO_SPLIT,
+    "deltasafe/trials/executions.py: execute_scenes": TO_SPLIT,
+    "deltasafe/trials/motion_figure.py: plan_over_image": TO_SPLIT,
+    "pipelines/tracking/mlflow_records.py: MlflowRecords.record_member": TO_SPLIT,
+}
+"""Functions with more than 60 lines or more than 7 parameters, each with a reason."""
 
 
 def test_import_contracts_hold():
@@ -24,13 +50,28 @@ def test_import_contracts_hold():
     )
 
 
+def test_no_imports_form_a_cycle():
+    assert {package: groups for package, groups in import_cycles().items() if groups} == {}
+
+
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_modules_are_small_and_say_what_they_are(path):
+def test_modules_have_400_lines_at_most_and_a_docstring(path):
     text = path.read_text(encoding="utf-8")
     assert text.count("\n") <= 400
     assert path.name != "utils.py"
     if text.strip():
         assert ast.get_docstring(ast.parse(text)), "a module opens by saying what belongs in it"
+
+
+def test_functions_have_60_lines_and_7_parameters_at_most():
+    over = {
+        f"{path.relative_to(ROOT).as_posix()}: {each.name}": f"{each.lines} lines, {each.parameters} parameters"
+        for path in MODULES
+        for each in functions(path.read_text(encoding="utf-8"))
+        if each.lines > 60 or each.parameters > 7
+    }
+    assert {name: size for name, size in over.items() if name not in EXCEPTIONS} == {}
+    assert [name for name in EXCEPTIONS if name not in over] == [], "remove exceptions that are no longer needed"
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "assets").rglob("*.py")), ids=lambda path: path.name)
@@ -75,19 +116,3 @@ def test_nothing_unpickles():
         assert "allow_pickle=True" not in text, path
         assert "pickle.load" not in text, path
         assert text.count("torch.load(") == text.count("weights_only=True"), path
-
-
-def test_the_readme_shows_the_recorded_figures():
-    figures = json.loads((ROOT / "docs" / "results" / "default.json").read_text())["figures"]
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    shown = [
-        f"**{figures['minutes_total']:.1f} minutes**",
-        f"| pixel accuracy | {100 * figures['pa']:.1f} % |",
-        f"| mIoU | {100 * figures['miou']:.1f} % |",
-        f"| NLL (nats) | {figures['nll']:.4f} |",
-        f"| Brier score | {figures['bs']:.4f} |",
-        f"| {figures['scenes_executed']:.0f} / {figures['scenes_safe']:.0f} of {figures['scenes']:.0f} |",
-        f"| contacts with hand or table | {figures['contacts']:.0f} |",
-        f"| smallest distance of the tool to the true hand | {1000 * figures['min_tool_to_hand_m']:.1f} mm |",
-    ]
-    assert [line for line in shown if line not in text] == []

@@ -41,7 +41,8 @@ def test_pages_are_finished_and_their_links_lead_somewhere(path):
             assert target.exists(), link
 
 
-@pytest.mark.parametrize("path", PAGES, ids=name_of)
+# recorded commands are valid at their commit only
+@pytest.mark.parametrize("path", [path for path in PAGES if path != DOCS / "results" / "README.md"], ids=name_of)
 def test_every_command_on_a_page_exists(path):
     text = path.read_text(encoding="utf-8")
     targets = re.findall(r"^([a-z][a-z-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
