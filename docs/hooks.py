@@ -29,12 +29,18 @@ _NAMES = re.compile(r"^( {4,})(\w+(?:, \w+)+)(: .*(?:\n\1 .*)*)", re.MULTILINE)
 
 
 class ReadableDocstrings(griffe.Extension):
-    """Griffe wants one entry per name, docstrings also have "start, goal: poses"; "decision 5" becomes a link."""
+    """Griffe wants one entry per name, docstrings also have "start, goal: poses"; "decision 5" becomes a link.
+
+    Classes and functions of a module name the file that defines them.
+    """
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring:
             text = _NAMES.sub(_one_entry_per_name, obj.docstring.value)
-            obj.docstring.value = re.sub(r"\b([Dd]ecisions?) (\d+)", r"[\1 \2][d\2]", text)
+            text = re.sub(r"\b([Dd]ecisions?) (\d+)", r"[\1 \2][d\2]", text)
+            if (obj.is_class or obj.is_function) and obj.parent and obj.parent.is_module:
+                text = f"{text.rstrip()}\n\nDefined in `{obj.relative_package_filepath.as_posix()}`."
+            obj.docstring.value = text
 
 
 def _one_entry_per_name(entry: re.Match[str]) -> str:
