@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from deltasafe.perception.calibration.conformal_margin import margin_sentence
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.settings import InferenceSettings
 
@@ -44,7 +45,7 @@ On {calibration.n_images} labeled test images that no training has seen, on all 
 | {calibration.pixel_accuracy:.4f} | {calibration.miou:.4f} | {calibration.nll:.4f} | {calibration.brier:.4f} \
 | {calibration.expected_calibration_error:.4f} |
 
-{delta}{threshold}
+{delta}{threshold}{margin_sentence(calibration.conformal_margins)}
 
 ## Intended use
 
