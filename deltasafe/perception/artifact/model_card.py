@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from deltasafe.perception.calibration.conformal_margin import margin_sentence
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.settings import InferenceSettings
 from deltasafe.reporting.templates import render
@@ -18,6 +19,7 @@ def model_card(manifest: dict[str, Any], calibration: Calibration) -> str:
         "model_card.md.j2",
         **manifest,
         calibration=calibration,
+        margin_sentence=margin_sentence(calibration.conformal_margins),
         height=height,
         width=width,
     )

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.perception.calibration.calibration_error import calibration_errors, margin_counts
+from deltasafe.perception.calibration.conformal_margin import hausdorff_at_delta
 from deltasafe.perception.calibration.conformal_risk import THRESHOLD_GRID, missed_fractions
 from deltasafe.perception.calibration.metrics import (
     ImageScores,
@@ -25,7 +26,7 @@ from deltasafe.perception.calibration.reliability import (
 from deltasafe.perception.calibration.report import PredictorResult
 from deltasafe.perception.calibration.temperature import LogitCounts, logit_counts
 
-__all__ = ["EnsembleAccumulator", "FitAccumulator", "PredictorAccumulator"]
+__all__ = ["EnsembleAccumulator", "FitAccumulator", "PredictorAccumulator", "SafetyAccumulator"]
 
 
 @dataclasses.dataclass
@@ -57,12 +58,25 @@ class PredictorAccumulator:
 
 
 @dataclasses.dataclass
+class SafetyAccumulator:
+    """Counts and distances that delta and margin are fitted on; both lists have one entry per image."""
+
+    counts: list[BinCounts] = dataclasses.field(default_factory=list)
+    hausdorff: list[NDArray[np.float64]] = dataclasses.field(default_factory=list)
+
+    def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
+        """Add one image, both arguments (H, W)."""
+        self.counts.append(safety_counts(p_occupied, label))
+        self.hausdorff.append(hausdorff_at_delta(p_occupied, label))
+
+
+@dataclasses.dataclass
 class EnsembleAccumulator(PredictorAccumulator):
     """The counts of a predictor, and those that only the whole ensemble needs."""
 
     hand: list[BinCounts] = dataclasses.field(default_factory=list)
     background: list[BinCounts] = dataclasses.field(default_factory=list)
-    safety: list[BinCounts] = dataclasses.field(default_factory=list)
+    safety: SafetyAccumulator = dataclasses.field(default_factory=SafetyAccumulator)
 
     def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
         """Add one image, both arguments (H, W)."""
@@ -70,21 +84,19 @@ class EnsembleAccumulator(PredictorAccumulator):
         hand, background = class_counts(p_occupied, label)
         self.hand.append(hand)
         self.background.append(background)
-        self.safety.append(safety_counts(p_occupied, label))
+        self.safety.add(p_occupied, label)
 
 
 @dataclasses.dataclass
 class FitAccumulator:
-    """Counts of the uncalibrated ensemble that temperature, delta and conformal threshold are fitted on."""
+    """Counts of the uncalibrated ensemble that temperature and conformal threshold are fitted on."""
 
     logits: list[LogitCounts] = dataclasses.field(default_factory=list)
-    safety: list[BinCounts] = dataclasses.field(default_factory=list)
     missed: list[NDArray[np.float64]] = dataclasses.field(default_factory=list)
 
     def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
         """Add one image, both arguments (H, W)."""
         self.logits.append(logit_counts(p_occupied, label))
-        self.safety.append(safety_counts(p_occupied, label))
         missed = missed_fractions(p_occupied, label)
         if missed is not None:
             self.missed.append(missed)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.records import from_json
 from deltasafe.io.storage import read_json
+from deltasafe.perception.calibration.conformal_margin import ConformalMargins
 from deltasafe.perception.calibration.reliability import DELTA_GRID, BinCounts, bootstrap_weights, ratio
 
 __all__ = [
@@ -49,6 +50,8 @@ class Calibration:
         missed_hand_alpha: bound on the expected fraction of a hand's pixels with ``p_occupied <=
             missed_hand_threshold`` in a new image (conformal risk control); None in old files.
         missed_hand_threshold: None if there are too few images for a threshold.
+        conformal_margins: margins around the pixels with p_occupied > delta that contain the whole hand in a new image;
+            None in old files.
     """
 
     n_images: int
@@ -64,6 +67,7 @@ class Calibration:
     n_calibration_images: int = 0
     missed_hand_alpha: float | None = None
     missed_hand_threshold: float | None = None
+    conformal_margins: ConformalMargins | None = None
 
     def __post_init__(self) -> None:
         for name in ("n_images", "n_members"):

@@ -4,7 +4,8 @@ Images are processed one at a time, and every figure is computed from sums per i
 number of pixels, and intervals come from a bootstrap over images.
 
 Temperature, smallest supported delta and conformal threshold are evaluated on images that they were not fitted on: on
-the test images if there is a separate calibration set, otherwise by cross-fitting (decision 32).
+the test images if there is a separate calibration set, otherwise by cross-fitting (decision 32). Conformal margins are
+fitted on the calibration set, or on the test images; each image has a temperature that was fitted without it.
 """
 
 import dataclasses
@@ -18,7 +19,13 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import SettingsError
-from deltasafe.perception.calibration.accumulators import EnsembleAccumulator, FitAccumulator, PredictorAccumulator
+from deltasafe.perception.calibration.accumulators import (
+    EnsembleAccumulator,
+    FitAccumulator,
+    PredictorAccumulator,
+    SafetyAccumulator,
+)
+from deltasafe.perception.calibration.conformal_margin import finite_or_none
 from deltasafe.perception.calibration.conformal_risk import RiskControl, control_risk
 from deltasafe.perception.calibration.delta_support import (
     HeldOutDelta,
@@ -32,7 +39,6 @@ from deltasafe.perception.calibration.reliability import (
     BinCounts,
     bootstrap_weights,
     reliability_curve,
-    safety_counts,
     stack_counts,
 )
 from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, EvaluationResult
@@ -75,8 +81,10 @@ def evaluate(
     done, total = itertools.count(1), 2 * (len(images) + len(calibration or ()))  # every image is read twice
     run = _Evaluation(images, calibration, settings, lambda message: progress(next(done), total, message))
     members, smaller, whole, test_fit = run.score()
-    fit = test_fit if calibration is None else run.accumulate_fit(calibration, len(members))
-    uncalibrated = run.result(whole, 1.0, np.ones(len(images)), stack_counts(fit.safety))
+    fit, fitted_on = test_fit, whole.safety
+    if calibration is not None:
+        fit, fitted_on = run.accumulate_fit(calibration, len(members))
+    uncalibrated = run.result(whole, 1.0, np.ones(len(images)), fitted_on)
     calibrated = run.calibrated(fit) if n_fitted > 1 else None
     used = calibrated.temperature if settings.recalibrate and calibrated is not None else 1.0
     member_results, smaller_results = (
@@ -115,7 +123,7 @@ class _Evaluation:
 
         Returns:
             sums of each member; of the means of the first 1, .., M - 1 members; of the mean of all M members; and the
-            counts of this mean to fit on.
+            counts of this mean to fit temperature and threshold on.
         """
         members: list[PredictorAccumulator] = []
         smaller: list[PredictorAccumulator] = []
@@ -133,12 +141,17 @@ class _Evaluation:
             self.step(f"evaluated {image_id}")
         return members, smaller, whole, fit
 
-    def accumulate_fit(self, calibration: LabeledPredictions, n_members: int) -> FitAccumulator:
-        fit = FitAccumulator()
+    def accumulate_fit(
+        self, calibration: LabeledPredictions, n_members: int
+    ) -> tuple[FitAccumulator, SafetyAccumulator]:
+        """Read the calibration images once, at T = 1."""
+        fit, safety = FitAccumulator(), SafetyAccumulator()
         for image_id, (label, p_members) in zip(calibration.image_ids, calibration.checked(n_members), strict=True):
-            fit.add(pooled_probability(p_members), label)
+            p_occupied = pooled_probability(p_members)
+            fit.add(p_occupied, label)
+            safety.add(p_occupied, label)
             self.step(f"calibrated on {image_id}")
-        return fit
+        return fit, safety
 
     def calibrated(self, fit: FitAccumulator) -> EvaluationResult:
         """Fit the temperature, and evaluate every image at a temperature fitted without it."""
@@ -152,26 +165,31 @@ class _Evaluation:
             whole.add(p_occupied, label)
             self.step(f"evaluated {image_id} at T = {applied[index]:.3f}")
         if self.calibration is None:
-            return self.result(whole, temperature, applied, stack_counts(whole.safety))
-        fitted_on = []
+            return self.result(whole, temperature, applied, whole.safety)
+        fitted_on = SafetyAccumulator()
         for index, image_id in enumerate(self.calibration.image_ids):
             label, p_occupied = self.calibration.pooled(index, cross_fitted[index])
-            fitted_on.append(safety_counts(p_occupied, label))
+            fitted_on.add(p_occupied, label)
             self.step(f"evaluated {image_id} at T = {cross_fitted[index]:.3f}")
-        return self.result(whole, temperature, applied, stack_counts(fitted_on))
+        return self.result(whole, temperature, applied, fitted_on)
 
     def result(
-        self, whole: EnsembleAccumulator, temperature: float, applied: NDArray[np.float64], fitted_on: BinCounts
+        self,
+        whole: EnsembleAccumulator,
+        temperature: float,
+        applied: NDArray[np.float64],
+        fitted_on: SafetyAccumulator,
     ) -> EvaluationResult:
         """Pool the images.
 
         Args:
             whole: the ensemble on the test images, at the temperatures ``applied`` (N,).
             temperature: fitted on all calibration images.
-            fitted_on: safety counts of the calibration images, each at a temperature fitted without it.
+            fitted_on: sums of the images to fit delta and margin on, each at a temperature fitted without it.
         """
         level = self.settings.level
-        safety = stack_counts(whole.safety)
+        safety, fit_counts = stack_counts(whole.safety.counts), stack_counts(fitted_on.counts)
+        further = () if self.calibration is None else fitted_on.hausdorff
         n_hand = [image.n_hand_pixels for image in whole.scores]
         _, missed = cumulative_safety_counts(safety)
         return EvaluationResult(
@@ -182,11 +200,13 @@ class _Evaluation:
             hand=reliability_curve(stack_counts(whole.hand), self.weights, level),
             background=reliability_curve(stack_counts(whole.background), self.weights, level),
             safety=reliability_curve(safety, self.weights, level),
-            support=delta_support(fitted_on, **self._bootstrap),
-            held_out_delta=self._held_out_delta(safety, fitted_on),
+            support=delta_support(fit_counts, **self._bootstrap),
+            held_out_delta=self._held_out_delta(safety, fit_counts),
             missed_at_delta=tuple(
                 tuple((row / n).tolist()) if n else None for row, n in zip(missed, n_hand, strict=True)
             ),
+            hausdorff_at_delta=tuple(finite_or_none(row) for row in whole.safety.hausdorff),
+            calibration_hausdorff_at_delta=tuple(finite_or_none(row) for row in further),
         )
 
     @property

@@ -5,7 +5,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deltasafe.perception.calibration.curve_drawing import BLUE, ORANGE, RED, draw_band, draw_curve
-from deltasafe.perception.calibration.reliability import DELTA_GRID, delta_index
 from deltasafe.perception.calibration.report import CalibrationReport
 from deltasafe.reporting.panels import style_axes
 
@@ -46,8 +45,7 @@ def _draw_images(axes: Axes, report: CalibrationReport) -> None:
     missed = report.missed_hand_rates
     n_images, percent = len(missed), 100 * np.array(list(missed.values()))
     at_delta = [100 * report.missed_at_planning_delta[i] for i in missed]
-    delta = DELTA_GRID[delta_index(report.settings.planning_delta)]
-    label = f"free for the planner ($p_\\mathrm{{occupied}} \\leq {delta:g}$)"
+    label = f"free for the planner ($p_\\mathrm{{occupied}} \\leq {report.grid_delta:g}$)"
     axes.bar(range(n_images), percent, width=0.86, color=ORANGE, label="missed ($p_\\mathrm{occupied} < 0.5$)")
     axes.bar(range(n_images), at_delta, width=0.86, color=RED, label=label)
     if n_images:

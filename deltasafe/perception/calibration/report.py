@@ -5,10 +5,14 @@ import itertools
 import pathlib
 import typing
 
+import numpy as np
+from numpy.typing import NDArray
+
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.records import from_json
 from deltasafe.io.storage import read_json
 from deltasafe.perception.calibration.calibration_error import CalibrationErrors
+from deltasafe.perception.calibration.conformal_margin import ConformalMargins, with_infinity
 from deltasafe.perception.calibration.conformal_risk import RiskControl
 from deltasafe.perception.calibration.delta_support import (
     Calibration,
@@ -17,7 +21,7 @@ from deltasafe.perception.calibration.delta_support import (
     smallest_supported_delta,
 )
 from deltasafe.perception.calibration.metrics import ImageScores, MeanAndSd, Scores
-from deltasafe.perception.calibration.reliability import ReliabilityCurve, delta_index
+from deltasafe.perception.calibration.reliability import DELTA_GRID, ReliabilityCurve, delta_index
 
 __all__ = [
     "FORMAT_VERSION",
@@ -103,6 +107,10 @@ class EvaluationResult:
         held_out_delta: the smallest supported delta on images that it was not fitted on; None for a single image.
         missed_at_delta: for each image, the fraction of its hand pixels with p_occupied <= delta, delta in
             ``DELTA_GRID``; None for an image without a hand.
+        hausdorff_at_delta: for each image, the directed Hausdorff distance of its hand to the pixels with p_occupied >
+            delta, delta in ``DELTA_GRID``, as fraction of the image's width; None for an infinite one. Empty in
+            reports that were stored before this field existed.
+        calibration_hausdorff_at_delta: the same of the calibration images; empty if there are none.
     """
 
     temperature: float
@@ -115,11 +123,23 @@ class EvaluationResult:
     support: tuple[DeltaSupport, ...]
     held_out_delta: HeldOutDelta | None
     missed_at_delta: tuple[tuple[float, ...] | None, ...]
+    hausdorff_at_delta: tuple[tuple[float | None, ...], ...] = ()
+    calibration_hausdorff_at_delta: tuple[tuple[float | None, ...], ...] = ()
 
     @property
     def smallest_supported_delta(self) -> float | None:
         """The smallest delta that the calibration images support."""
         return smallest_supported_delta(self.support)
+
+    @property
+    def margins(self) -> ConformalMargins | None:
+        """Conformal margins of the calibration images, or of the test images; None in an older stored report."""
+        rows = self.calibration_hausdorff_at_delta or self.hausdorff_at_delta
+        return ConformalMargins.of_images(with_infinity(rows)) if rows else None
+
+    def hausdorff_at(self, delta: float) -> NDArray[np.float64]:
+        """Return (N,) distances of the test images, delta rounded up to the next value of ``DELTA_GRID``."""
+        return with_infinity(self.hausdorff_at_delta)[:, delta_index(delta)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,6 +214,16 @@ class CalibrationReport:
         return self.final.smallest_supported_delta
 
     @property
+    def grid_delta(self) -> float:
+        """The planning delta, rounded up to the next value of ``DELTA_GRID``."""
+        return DELTA_GRID[delta_index(self.settings.planning_delta)]
+
+    @property
+    def farthest_missed(self) -> int | None:
+        """Index of the image whose hand lies farthest from the pixels with p_occupied > ``grid_delta``."""
+        return int(np.argmax(self.final.hausdorff_at(self.grid_delta))) if self.final.hausdorff_at_delta else None
+
+    @property
     def worst_first(self) -> tuple[int, ...]:
         """Indices of the images by rising mIoU, ties by name."""
         return tuple(sorted(range(len(self.images)), key=lambda i: (self.images[i].miou, self.image_ids[i])))
@@ -237,6 +267,7 @@ class CalibrationReport:
             n_calibration_images=self.n_calibration_images,
             missed_hand_alpha=risk.alpha,
             missed_hand_threshold=risk.threshold,
+            conformal_margins=self.final.margins,
         )
 
     def figures(self) -> dict[str, float]:

@@ -4,10 +4,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
+from deltasafe.perception.calibration.conformal_margin import REFERENCE_WIDTH_PX, ConformalMargin, ConformalMargins
 from deltasafe.perception.calibration.ensemble_size import ensemble_size_table
 from deltasafe.perception.calibration.paper_results import AUGMENTATION_RESULTS, ENSEMBLE_SIZE_RESULTS
-from deltasafe.perception.calibration.reliability import DELTA_GRID, delta_index
 from deltasafe.perception.calibration.report import CalibrationReport, EvaluationResult
 from deltasafe.reporting.markdown import percent, plus_minus
 from deltasafe.reporting.templates import render
@@ -23,6 +24,7 @@ _MEASURES = (
     ("NLL [nats]", "nll", "negative log-likelihood; confident errors cost most; 0 is perfect"),
 )
 _DELTAS_SHOWN = (0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+_MARGIN_DELTAS_SHOWN = (0.02, 0.05, 0.1, 0.2)
 
 
 def report_markdown(report: CalibrationReport, pictures: Iterable[str]) -> str:
@@ -33,11 +35,12 @@ def report_markdown(report: CalibrationReport, pictures: Iterable[str]) -> str:
         "report.md.j2",
         report=report,
         pictures=set(pictures),
-        grid_delta=DELTA_GRID[delta_index(report.settings.planning_delta)],
+        grid_delta=report.grid_delta,
         score_rows=_score_rows(report),
         delta_rows=_delta_rows(report),
         missed=_missed_hands(report),
         risk_rows=_risk_rows(report),
+        margin=_conformal_margins(report),
         calibration_rows=_calibration_rows(report),
         ensemble_sizes=ensemble_size_table(report),
         member_rows=_member_rows(report),
@@ -120,6 +123,59 @@ def _risk_rows(report: CalibrationReport) -> Rows:
         )
         for row in report.risk
     ]
+
+
+def _conformal_margins(report: CalibrationReport) -> dict[str, Any] | None:
+    """Tabulate the margins; None for a stored report without them."""
+    margins, worst = report.final.margins, report.farthest_missed
+    if margins is None or worst is None:
+        return None
+    return {
+        "n_images": margins.n_images,
+        "smallest_alpha": margins.smallest_alpha,
+        "reference_width_px": REFERENCE_WIDTH_PX,
+        "worst_id": report.image_ids[worst],
+        "worst": _margin_px(REFERENCE_WIDTH_PX * report.final.hausdorff_at(report.grid_delta)[worst]),
+        "stated": _margin_px(margins.margin(report.grid_delta, margins.stated_alpha).px),
+        "stated_alpha": margins.stated_alpha,
+        "head": ("delta", *(f"alpha = {_alpha(alpha)}" for alpha in margins.shown_alphas)),
+        "rows": _margin_rows(margins, {*_MARGIN_DELTAS_SHOWN, report.grid_delta}),
+        "coverage_rows": [
+            _coverage_row(report, margins.margin(report.grid_delta, alpha)) for alpha in margins.shown_alphas
+        ],
+    }
+
+
+def _margin_rows(margins: ConformalMargins, deltas: set[float]) -> Rows:
+    return [
+        (f"{delta:g}", *(_margin_px(margins.margin(delta, alpha).px) for alpha in margins.shown_alphas))
+        for delta in sorted(deltas)
+    ]
+
+
+def _coverage_row(report: CalibrationReport, margin: ConformalMargin) -> tuple[str, ...]:
+    """Format rank and coverage of one margin, and its coverage of the test images if it was not fitted on them."""
+    low, high = margin.coverage_interval()
+    row = (
+        _alpha(margin.alpha),
+        f"{margin.rank} of {margin.n_images}",
+        f"{margin.expected_coverage:.1%}",
+        f"{low:.1%} to {high:.1%}",
+    )
+    if not report.calibration_image_ids:
+        return (*row, "")
+    contained = report.final.hausdorff_at(report.grid_delta) <= margin.fraction_of_width
+    n_contained, n = int(contained.sum()), len(contained)
+    interval = binomtest(n_contained, n).proportion_ci(method="exact")
+    return (*row, f"{n_contained} of {n} ({interval.low:.1%} to {interval.high:.1%})")
+
+
+def _alpha(alpha: float) -> str:
+    return f"{100 * alpha:.3g} %"
+
+
+def _margin_px(px: float) -> str:
+    return "infinite" if np.isinf(px) else f"{px:.1f}"
 
 
 def _calibration_rows(report: CalibrationReport) -> Rows:

@@ -16,6 +16,8 @@ from deltasafe.perception.calibration.report_text import report_markdown
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from deltasafe.perception.calibration.overlay_figure import Overlay
+
 __all__ = ["write_calibration_report"]
 
 LoadImage = Callable[[str], NDArray[np.uint8]]
@@ -43,15 +45,26 @@ def write_calibration_report(
     Raises:
         SettingsError: ``images`` are not the images of the report.
     """
+    from deltasafe.perception.calibration.conformal_margin_figure import conformal_margin_figure
+    from deltasafe.perception.calibration.overlay_figure import overlay_figure
+
     if tuple(images.image_ids) != report.image_ids:
         raise SettingsError(
             f"the report is about {len(report.image_ids)} images, got labels and predictions of {len(images)} others; "
             "pass the images that were evaluated"
         )
     pictures = _figures(report)
+
+    def overlays(indices: Sequence[int]) -> "list[Overlay]":
+        return [] if load_image is None else [_overlay(report, images, load_image, i) for i in indices]
+
+    if report.farthest_missed is not None:
+        shown = overlays([report.farthest_missed]) if n_examples > 0 else []
+        pictures["conformal_margin.png"] = conformal_margin_figure(report, *shown)
     if load_image is not None and n_examples > 0:
-        pictures["worst.jpg"] = _overlays(report, images, load_image, report.worst_examples(n_examples))
-        pictures["best.jpg"] = _overlays(report, images, load_image, report.worst_first[::-1][:n_examples])
+        delta = report.settings.planning_delta
+        pictures["worst.jpg"] = overlay_figure(overlays(report.worst_examples(n_examples)), delta)
+        pictures["best.jpg"] = overlay_figure(overlays(report.worst_first[::-1][:n_examples]), delta)
     with atomic_folder(folder) as temporary:
         write_json(temporary / "report.json", report)
         for name, figure in pictures.items():
@@ -74,14 +87,9 @@ def _figures(report: CalibrationReport) -> "dict[str, Figure]":
     }
 
 
-def _overlays(
-    report: CalibrationReport, images: LabeledPredictions, load_image: LoadImage, indices: Sequence[int]
-) -> "Figure":
-    from deltasafe.perception.calibration.overlay_figure import Overlay, overlay_figure
+def _overlay(report: CalibrationReport, images: LabeledPredictions, load_image: LoadImage, index: int) -> "Overlay":
+    from deltasafe.perception.calibration.overlay_figure import Overlay
 
-    overlays = []
-    for index in indices:
-        label, p_occupied = images.pooled(index, report.final.temperature)
-        image_id = report.image_ids[index]
-        overlays.append(Overlay(image_id, load_image(image_id), label, p_occupied))
-    return overlay_figure(overlays, report.settings.planning_delta)
+    label, p_occupied = images.pooled(index, report.final.temperature)
+    image_id = report.image_ids[index]
+    return Overlay(image_id, load_image(image_id), label, p_occupied)
