@@ -141,7 +141,7 @@ def judge_challenger(
 
     Args:
         cache: folder of scores, by ensemble and digest of the test set.
-        objection: why a person demoted the challenger earlier; if not empty, it is not promoted whatever its scores.
+        objection: why a person demoted the challenger earlier. If it is not empty, scores are not compared.
 
     Raises:
         ArtifactError: an ensemble is not intact.
