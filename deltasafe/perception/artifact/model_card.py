@@ -19,7 +19,7 @@ def model_card(manifest: dict[str, Any], calibration: Calibration) -> str:
         "model_card.md.j2",
         **manifest,
         calibration=calibration,
-        margin_sentence=margin_sentence(calibration.conformal_margins),
+        margin_sentence=margin_sentence(calibration.conformal_margins).strip(),
         height=height,
         width=width,
     )
