@@ -1,5 +1,6 @@
 """Execution of a trajectory: approach, motion and retreat, monitored at every control step."""
 
+import contextlib
 import math
 from typing import Any
 
@@ -59,12 +60,20 @@ def execute(
     if limits.camera is not None:
         limits.camera.require_live(settings.max_look_age_s, settings.max_frame_age_s)
     distance = None if cell.mesh is None else MeshDistance(*cell.mesh)
-    with cell.arm(seed) as arm:
+    with _arm_of(cell, seed) as arm:
         reference = Reference(trajectory, settings, arm, unsafe_below_m)
         recorder = _Recorder(reference, arm, cell.body, distance)
         monitor = Monitor(limits, settings, arm.limits, cell.body)
         reason = _drive(arm, reference, recorder, monitor, settings, progress)
         return recorder.finish(seed, reason)
+
+
+def _arm_of(cell: Workcell, seed: int) -> contextlib.AbstractContextManager[Arm]:
+    if cell.make_arm is not None:
+        return cell.make_arm(seed)
+    from deltasafe.execution.iiwa_arm import IiwaArm  # loads PyBullet
+
+    return IiwaArm(cell, seed)
 
 
 def _drive(

@@ -23,18 +23,10 @@ class Workcell:
         body: the tool at the flange.
         mesh: vertices_m (V, 3) and triangles (F, 3) of the hand, solid in the simulation; None: no hand.
         table_z_m: height of the table; the arm stands beside it.
-        make_arm: returns an arm for a seed; None: the simulated iiwa 14.
+        make_arm: returns an arm for a seed, which draws its friction and sensor gains; None: the simulated iiwa 14.
     """
 
     body: ToolBody
     mesh: Mesh | None = None
     table_z_m: float = 0.0
     make_arm: Callable[[int], contextlib.AbstractContextManager[Arm]] | None = None
-
-    def arm(self, seed: int) -> contextlib.AbstractContextManager[Arm]:
-        """Return a new arm; the seed draws its friction and torque sensor gains."""
-        if self.make_arm is not None:
-            return self.make_arm(seed)
-        from deltasafe.execution.iiwa_arm import IiwaArm
-
-        return IiwaArm(self, seed)

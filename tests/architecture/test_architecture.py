@@ -12,35 +12,6 @@ from evidence.house import PACKAGES, functions, import_cycles
 ROOT = pathlib.Path(__file__).parents[2]
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
-COMPILED = "numba passes arrays and numbers faster than objects"
-TO_SPLIT = "to be split"
-EXCEPTIONS = {
-    "assets/training.py: train_and_record": TO_SPLIT,
-    "deltasafe/execution/distance.py: _points_distance": COMPILED,
-    "deltasafe/execution/distance.py: _solid_distance": COMPILED,
-    "deltasafe/execution/impedance.py: _torques": COMPILED,
-    "deltasafe/execution/simulate.py: execute": TO_SPLIT,
-    "deltasafe/execution/verdict.py: judge": TO_SPLIT,
-    "deltasafe/perception/artifact/frozen_ensemble.py: write_frozen_ensemble": TO_SPLIT,
-    "deltasafe/perception/artifact/model_card.py: model_card": TO_SPLIT,
-    "deltasafe/perception/calibration/evaluation.py: evaluate": TO_SPLIT,
-    "deltasafe/perception/calibration/write_report.py: write_calibration_report": TO_SPLIT,
-    "deltasafe/perception/training/train_member.py: _train": TO_SPLIT,
-    "deltasafe/planning/collision/clearance.py: _clearance_of_cover": COMPILED,
-    "deltasafe/planning/collision/clearance.py: level_clearance": COMPILED,
-    "deltasafe/planning/search/rrt_star.py: RrtStar.__init__": TO_SPLIT,
-    "deltasafe/planning/search/rrt_star.py: grow_tree": TO_SPLIT,
-    "deltasafe/planning/search/shortcutting.py: _move": COMPILED,
-    "deltasafe/planning/search/shortcutting.py: _refine": COMPILED,
-    "deltasafe/planning/search/shortcutting.py: refine_path": TO_SPLIT,
-    "deltasafe/studies/planner/search_figures.py: search_in_space": TO_SPLIT,
-    "deltasafe/studies/safety/motions.py: parametric_motion": TO_SPLIT,
-    "deltasafe/trials/executions.py: execute_scenes": TO_SPLIT,
-    "deltasafe/trials/motion_figure.py: plan_over_image": TO_SPLIT,
-    "pipelines/tracking/mlflow_records.py: MlflowRecords.record_member": TO_SPLIT,
-}
-"""Functions with more than 60 lines or more than 7 parameters, each with a reason."""
-
 
 def test_import_contracts_hold():
     subprocess.run(
@@ -70,8 +41,7 @@ def test_functions_have_60_lines_and_7_parameters_at_most():
         for each in functions(path.read_text(encoding="utf-8"))
         if each.lines > 60 or each.parameters > 7
     }
-    assert {name: size for name, size in over.items() if name not in EXCEPTIONS} == {}
-    assert [name for name in EXCEPTIONS if name not in over] == [], "remove exceptions that are no longer needed"
+    assert over == {}
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "assets").rglob("*.py")), ids=lambda path: path.name)
