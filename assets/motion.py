@@ -68,7 +68,7 @@ def logged_scenes(
     from deltasafe.trials.selection import select_scenes
 
     source, _ = store.dataset(config.folder, "scenes")
-    folder = store.folder("logged_scenes", context.run_id[:8])
+    folder = store.folder("logged_scenes", context.run.run_id[:8])
     scenes = select_scenes(source, config.n_scenes, folder)
     version = sha256_of_file(folder / "scenes.json")[:16]
     sheet = folder.with_name(f"{folder.name}-sheet.jpg")
@@ -97,7 +97,7 @@ def occupancy_fields(
     from deltasafe.trials.selection import load_selection
 
     scenes = load_selection(logged_scenes)
-    folder = store.folder("occupancy_fields", context.run_id[:8])
+    folder = store.folder("occupancy_fields", context.run.run_id[:8])
     write_fields(load_ensemble(champion), scenes, folder, config.settings(), progress_of(context))
     picture = overview(scenes, folder, planning_delta(context.run.run_config), folder / "overview.jpg")
     metadata: Metadata = {"overview": inline_picture(picture), "scenes": len(scenes), "ensemble": champion.name}
@@ -124,7 +124,7 @@ def planned_motions(
 
     calibration = Calibration.load(champion / "calibration.json")
     scenes, settings = load_selection(logged_scenes), config.motion.settings()
-    folder, progress = store.folder("planned_motions", context.run_id[:8]), progress_of(context, every_s=2.0)
+    folder, progress = store.folder("planned_motions", context.run.run_id[:8]), progress_of(context, every_s=2.0)
     motions = plan_scenes(scenes, occupancy_fields, folder, settings, calibration, config.first_seed, progress)
     first = next((name for name, motion in motions.items() if motion.is_safe), scenes[0].id)
     reasons = {name: motion.reason for name, motion in motions.items() if not motion.is_safe}
@@ -157,7 +157,7 @@ def executed_motions(
     from deltasafe.trials.motions import PlannedScenes
     from deltasafe.trials.selection import load_selection
 
-    folder = store.folder("executed_motions", context.run_id[:8])
+    folder = store.folder("executed_motions", context.run.run_id[:8])
     outcomes = execute_scenes(
         PlannedScenes(load_selection(logged_scenes), occupancy_fields, planned_motions),
         folder,
@@ -197,7 +197,7 @@ def safety_report(
     from deltasafe.trials.selection import load_selection
     from deltasafe.trials.write_safety_report import write_safety_report
 
-    folder = store.folder("safety_report", context.run_id[:8])
+    folder = store.folder("safety_report", context.run.run_id[:8])
     report = write_safety_report(
         PlannedScenes(load_selection(logged_scenes), occupancy_fields, planned_motions),
         executed_motions,

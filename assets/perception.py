@@ -125,7 +125,7 @@ def augmented_hands(
 
     hands = LabeledImageSet.load(raw_hands)
     backgrounds, _ = store.dataset(config.backgrounds, "backgrounds")
-    folder = store.folder("augmented_hands", context.run_id[:8])
+    folder = store.folder("augmented_hands", context.run.run_id[:8])
     settings, progress = config.augmentation.settings(), progress_of(context)
     made = augment_images(hands, folder, settings, backgrounds, workers=config.workers, progress=progress)
     sheet = folder.with_name(f"{folder.name}-sheet.png")
@@ -177,7 +177,7 @@ def calibration_report(
     from deltasafe.perception.training.member import Member
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
-    folder, test = store.folder("calibration_report", context.run_id[:8]), LabeledImageSet.load(test_hands)
+    folder, test = store.folder("calibration_report", context.run.run_id[:8]), LabeledImageSet.load(test_hands)
     delta = planning_delta(context.run.run_config)
     calibration = dataclasses.replace(config.calibration.settings(), planning_delta=delta)
     report = evaluate_ensemble(

@@ -56,7 +56,7 @@ def logged_scene(
     from deltasafe.trials.selection import select_scene
 
     source, _ = store.dataset(config.folder, "scenes")
-    folder = store.folder("logged_scene", f"{context.partition_key}-{context.run_id[:8]}")
+    folder = store.folder("logged_scene", f"{context.partition_key}-{context.run.run_id[:8]}")
     scene = select_scene(source / context.partition_key, folder)
     version = sha256_of_file(folder / "scenes.json")[:16]
     metadata = {"image": inline_picture(scene.image_path, 60_000), **folder_facts(scene.image_path.parent, version)}
@@ -78,7 +78,7 @@ def scene_motion(
     """
     from deltasafe.trials.single_scene import plan_scene
 
-    folder = store.folder("scene_motion", f"{context.partition_key}-{context.run_id[:8]}")
+    folder = store.folder("scene_motion", f"{context.partition_key}-{context.run.run_id[:8]}")
     settings, field = config.motion.settings(), config.field.settings()
     motion = plan_scene(logged_scene, champion, folder, field, settings, config.seed, progress_of(context))
     plan = inline_picture(folder / "motions" / context.partition_key / "plan.png", 60_000)
@@ -101,7 +101,7 @@ def scene_execution(
     """
     from deltasafe.trials.single_scene import execute_scene
 
-    folder = store.folder("scene_execution", f"{context.partition_key}-{context.run_id[:8]}")
+    folder = store.folder("scene_execution", f"{context.partition_key}-{context.run.run_id[:8]}")
     report = execute_scene(
         logged_scene, scene_motion, folder, config.execution.settings(), config.seed, progress_of(context)
     )

@@ -15,8 +15,9 @@ class FolderPointers(dg.ConfigurableIOManager):
     """Stores a pointer to the folder that an asset returns. Assets write their folders themselves, atomically.
 
     The pointer is replaced when the folder is complete, so a reader gets the old version or the new one.
-    A partitioned asset returns `dict[partition, path]`, and consumers get that. With the metadata
-    `allow_missing_partitions`, they get the existing partitions only. With `$DELTASAFE_STORE`, folders are uploaded
+    A partitioned asset returns a path for the partition of the run, or `dict[partition, path]`. Consumers get such a
+    dictionary, or the path of the one partition of their run if their parameter is annotated with `pathlib.Path`. With
+    the metadata `allow_missing_partitions`, they get the existing partitions only. With `$DELTASAFE_STORE`, folders are uploaded
     before the pointer is written, and downloaded when they are read.
     """
 
@@ -29,7 +30,8 @@ class FolderPointers(dg.ConfigurableIOManager):
     def handle_output(self, context: dg.OutputContext, obj: Any) -> None:
         if obj is None:
             return
-        by_partition = obj if isinstance(obj, dict) else {None: obj}
+        partition = context.asset_partition_key if context.has_asset_partitions and not isinstance(obj, dict) else None
+        by_partition = obj if isinstance(obj, dict) else {partition: obj}
         for partition, folder in by_partition.items():
             self.point(context.asset_key, pathlib.Path(folder), partition, context.run_id)
 
@@ -50,7 +52,8 @@ class FolderPointers(dg.ConfigurableIOManager):
         if context.definition_metadata.get("allow_missing_partitions", False):
             store = self._store()
             keys = [key for key in keys if store.read_pointer(_pointer_name(context.asset_key, key)) is not None]
-        return {key: self.folder(context.asset_key, key, run_id) for key in keys}
+        folders = {key: self.folder(context.asset_key, key, run_id) for key in keys}
+        return folders[context.asset_partition_key] if context.dagster_type.typing_type is pathlib.Path else folders
 
     def folder(self, asset_key: dg.AssetKey, partition: str | None = None, run_id: str | None = None) -> pathlib.Path:
         """Return the folder that the run ``run_id`` made; otherwise the latest one.

@@ -1,5 +1,7 @@
 """The I/O manager: pointers to folders, partitions, runs, and names of folders."""
 
+import pathlib
+
 import dagster as dg
 import pytest
 
@@ -67,6 +69,24 @@ def test_partitions_of_one_or_several_runs_are_read_as_a_dictionary(home):
     materialize(home, [parts], partition_key="b")
     materialize(home, [parts.to_source_assets()[0], used])
     assert read == [{"a": "a", "b": "b"}]
+
+
+def test_a_partition_is_read_as_a_path_by_a_consumer_of_the_same_partition(home):
+    @dg.asset(partitions_def=PARTS)
+    def part(context: dg.AssetExecutionContext):
+        folder = home / "store" / context.partition_key
+        folder.mkdir(parents=True)
+        return folder
+
+    read = []
+
+    @dg.asset(partitions_def=PARTS)
+    def used(part: pathlib.Path):
+        read.append(part.name)
+
+    for key in PARTS.get_partition_keys():
+        materialize(home, [part, used], partition_key=key)
+    assert read == ["a", "b"]
 
 
 def test_a_missing_or_removed_folder_is_named_with_the_remedy(home):
