@@ -41,10 +41,10 @@ def add_joint_folds(marks: Marks, regions: Regions, pose: Pose, wrinkles: float,
                 marks.add(knuckle, 0.06 * (0.5 + darkness), 0.35, 0.4 * flexion)
             else:
                 back = regions.dorsal * near
-                fuse_conv_bn = np.exp(-((along / (4.2 if k == 2 else 3.0)) ** 2)) * back * (1 - 0.8 * flexion)
+                folded = np.exp(-((along / (4.2 if k == 2 else 3.0)) ** 2)) * back * (1 - 0.8 * flexion)
                 wave = np.cos(2 * np.pi * along / 2.1 + 2 * wobble + 2 * fine_wobble)
-                marks.add(fuse_conv_bn * np.clip(wave, 0, 1), darkness=0.24 * (0.4 + wrinkles))
-                marks.add(fuse_conv_bn * wave, relief_mm=-0.2 * (0.4 + wrinkles))
+                marks.add(folded * np.clip(wave, 0, 1), darkness=0.24 * (0.4 + wrinkles))
+                marks.add(folded * wave, relief_mm=-0.2 * (0.4 + wrinkles))
                 bulge = np.exp(-((along / 5.3) ** 2)) * back
                 marks.add(bulge, 0.10 * (0.5 + darkness), 0.35 * (1 - 0.5 * flexion), 0.5)
         tip_distance = np.linalg.norm(points - regions.joints_mm[f"finger-{digit}-4"], axis=1)
