@@ -17,8 +17,8 @@ class FolderPointers(dg.ConfigurableIOManager):
     The pointer is replaced when the folder is complete, so a reader gets the old version or the new one.
     A partitioned asset returns a path for the partition of the run, or `dict[partition, path]`. Consumers get such a
     dictionary, or the path of the one partition of their run if their parameter is annotated with `pathlib.Path`. With
-    the metadata `allow_missing_partitions`, they get the existing partitions only. With `$DELTASAFE_STORE`, folders are uploaded
-    before the pointer is written, and downloaded when they are read.
+    the metadata `allow_missing_partitions`, they get the existing partitions only. With `$DELTASAFE_STORE`, folders
+    are uploaded before the pointer is written, and downloaded when they are read.
     """
 
     home: str
