@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from assets.interfaces import Store
 from assets.perception_study import CellConfig, open_study
 from deltasafe import presets
+from pipelines.command_line import run_command
 from pipelines.home import DATASETS, home
 
 if TYPE_CHECKING:
@@ -141,4 +142,4 @@ class _ProgressPrinter:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_command(main))

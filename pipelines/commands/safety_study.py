@@ -9,6 +9,7 @@ from typing import Any
 from deltasafe.errors import DeltasafeError
 from deltasafe.io.storage import read_json
 from deltasafe.presets import VARIABLE
+from pipelines.command_line import run_command
 from pipelines.commands.pictures import record_report
 from pipelines.home import prepare_home
 
@@ -121,4 +122,4 @@ def _print_summary(folder: pathlib.Path, figures: dict[str, float]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_command(main))

@@ -7,6 +7,7 @@ import sys
 
 from deltasafe.io.storage import read_json
 from deltasafe.presets import VARIABLE
+from pipelines.command_line import run_command
 from pipelines.commands.pictures import record_report
 from pipelines.commands.records import merge_part
 from pipelines.home import prepare_home
@@ -67,4 +68,4 @@ def _record(destination: pathlib.Path, figures: dict[str, float], folder: pathli
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_command(main))
