@@ -122,8 +122,8 @@ class ConformalMargins:
 
     @property
     def shown_alphas(self) -> tuple[float, ...]:
-        """The smallest alpha, and those of 1, 2, 5, 10, 20 % that give a smaller rank than it."""
-        return self.smallest_alpha, *(alpha for alpha in _ALPHAS if self._rank(alpha) < self.n_images)
+        """Those of 1, 2, 5, 10, 20 % that n images certify; the smallest alpha if there are none."""
+        return tuple(alpha for alpha in _ALPHAS if self._rank(alpha) <= self.n_images) or (self.smallest_alpha,)
 
     @property
     def stated_alpha(self) -> float:

@@ -1,3 +1,5 @@
+import dataclasses
+import hashlib
 import json
 import pathlib
 import shutil
@@ -16,6 +18,7 @@ from deltasafe.perception.artifact.frozen_ensemble import (
     verify_artifact,
     write_frozen_ensemble,
 )
+from deltasafe.perception.calibration.conformal_margin import ConformalMargins
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
@@ -37,6 +40,7 @@ CALIBRATION = Calibration(
     n_calibration_images=40,
     missed_hand_alpha=0.05,
     missed_hand_threshold=0.2,
+    conformal_margins=ConformalMargins((0.05, 0.2), ((0.0, 0.0125), (0.02, None))),
 )
 
 
@@ -46,8 +50,6 @@ def image(height=48, width=64, seed=0):
 
 @pytest.fixture(scope="module")
 def members(tmp_path_factory):
-    import dataclasses
-
     record = {"settings": {"network": dataclasses.asdict(NETWORK)}, "data_digest": "d" * 64}
     return [
         Member.write(tmp_path_factory.mktemp("member"), build_network(NETWORK, seed), {**record, "seed": seed})
@@ -124,8 +126,6 @@ def test_the_temperature_is_applied_to_the_mean_and_to_no_member(members, frozen
 
 
 def test_an_ensemble_of_the_first_format_is_read_as_it_is(copy, tmp_path):
-    import hashlib
-
     rgb = image(20, 30)
     old = {
         "n_images": 50,
@@ -152,20 +152,41 @@ def test_an_ensemble_of_the_first_format_is_read_as_it_is(copy, tmp_path):
     with pytest.raises(ArtifactError, match="older format"):
         load_ensemble(pulled, backend="onnxruntime")
     assert (ensemble.calibration.smallest_supported_delta, ensemble.calibration.missed_hand_threshold) == (0.03, None)
+    assert ensemble.calibration.conformal_margins is None
     mean = ensemble.member_p_occupied(rgb).mean(axis=0, dtype=np.float32)
     assert np.array_equal(ensemble.p_occupied(rgb), mean)
 
 
+def test_margins_are_stored_with_the_ensemble_and_stated_in_the_model_card(frozen):
+    calibration = load_ensemble(frozen).calibration
+    assert calibration == CALIBRATION
+    assert calibration.conformal_margins.margin(0.05, 0.4).fraction_of_width == 0.0125
+    assert "dilated by **1.25%** of the image's width" in (frozen / "model_card.md").read_text("utf-8")
+
+
+def test_an_artifact_without_margins_is_loaded(members, tmp_path):
+    without = dataclasses.replace(CALIBRATION, conformal_margins=None)
+    frozen = write_frozen_ensemble(members, INFERENCE, without, image(), tmp_path)
+    file, manifest = frozen / "calibration.json", json.loads((frozen / "manifest.json").read_text())
+    older = json.loads(file.read_text())
+    del older["conformal_margins"]
+    file.write_text(json.dumps(older))
+    manifest["files"][file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+    (frozen / "manifest.json").write_text(json.dumps(manifest))
+    assert manifest["format_version"] == 3
+    assert load_ensemble(frozen.rename(tmp_path / "older")).calibration == without
+    assert "dilated" not in (tmp_path / "older" / "model_card.md").read_text("utf-8")
+
+
 def test_a_damaged_calibration_is_named(tmp_path):
-    for text in ('{"surplus": 1}', "[1]"):
+    damaged = dataclasses.asdict(CALIBRATION) | {"conformal_margins": {"deltas": [0.05], "scores": [[0.2, 0.1]]}}
+    for text in ('{"surplus": 1}', "[1]", json.dumps(damaged)):
         (tmp_path / "calibration.json").write_text(text)
         with pytest.raises(DataError, match=r"calibration.json: is not a calibration"):
             Calibration.load(tmp_path / "calibration.json")
 
 
 def test_another_calibration_is_another_artifact(members, frozen, tmp_path):
-    import dataclasses
-
     other = write_frozen_ensemble(
         members, INFERENCE, dataclasses.replace(CALIBRATION, temperature=1.5), image(), tmp_path
     )
@@ -193,8 +214,6 @@ def test_a_missing_file_is_named(copy):
 def test_a_forged_manifest_contradicts_the_name_of_the_folder(copy):
     manifest = json.loads((copy / "manifest.json").read_text())
     (copy / "calibration.json").write_text("{}")
-    import hashlib
-
     manifest["files"]["calibration.json"] = hashlib.sha256(b"{}").hexdigest()
     (copy / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(ArtifactError, match="its manifest belongs to"):
