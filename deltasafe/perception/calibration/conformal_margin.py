@@ -24,7 +24,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.metrics import require_labeled_prediction
@@ -79,7 +79,7 @@ class ConformalMargin:
 
     def coverage_interval(self, level: float = 0.95) -> tuple[float, float]:
         """Compute the two-sided interval of the coverage over sets of ``n_images`` images."""
-        low, high = beta.ppf([(1 - level) / 2, (1 + level) / 2], self.rank, self.n_images + 1 - self.rank)
+        low, high = betaincinv(self.rank, self.n_images + 1 - self.rank, [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)
 
 
@@ -122,8 +122,8 @@ class ConformalMargins:
 
     @property
     def shown_alphas(self) -> tuple[float, ...]:
-        """The smallest alpha, and those of 1, 2, 5, 10, 20 % that give a smaller rank than it."""
-        return self.smallest_alpha, *(alpha for alpha in _ALPHAS if self._rank(alpha) < self.n_images)
+        """Those of 1, 2, 5, 10, 20 % that n images certify; the smallest alpha if there are none."""
+        return tuple(alpha for alpha in _ALPHAS if self._rank(alpha) <= self.n_images) or (self.smallest_alpha,)
 
     @property
     def stated_alpha(self) -> float:

@@ -74,7 +74,9 @@ def _draw_margins(axes: Axes, margins: ConformalMargins, deltas: list[float]) ->
             label=label,
         )
     axes.set(xscale="log", xlabel="alpha [%]", ylabel=f"Margin [px of {REFERENCE_WIDTH_PX}]", ylim=(0, None))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ticks = [tick for tick in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100) if tick >= 100 * alphas[0]]
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_xticks([], minor=True)
     axes.set_title(f"Margin of {n} images", fontsize=11)
     axes.legend(frameon=False, fontsize=9)
     style_axes(axes)

@@ -130,6 +130,7 @@ def _conformal_margins(report: CalibrationReport) -> dict[str, Any] | None:
     margins, worst = report.final.margins, report.farthest_missed
     if margins is None or worst is None:
         return None
+    separate = bool(report.calibration_image_ids)
     return {
         "n_images": margins.n_images,
         "smallest_alpha": margins.smallest_alpha,
@@ -140,6 +141,7 @@ def _conformal_margins(report: CalibrationReport) -> dict[str, Any] | None:
         "stated_alpha": margins.stated_alpha,
         "head": ("delta", *(f"alpha = {_alpha(alpha)}" for alpha in margins.shown_alphas)),
         "rows": _margin_rows(margins, {*_MARGIN_DELTAS_SHOWN, report.grid_delta}),
+        "coverage_head": ("alpha", "k", "Expected coverage", "95 % interval", *(["Covered test images"] * separate)),
         "coverage_rows": [
             _coverage_row(report, margins.margin(report.grid_delta, alpha)) for alpha in margins.shown_alphas
         ],
@@ -163,7 +165,7 @@ def _coverage_row(report: CalibrationReport, margin: ConformalMargin) -> tuple[s
         f"{low:.1%} to {high:.1%}",
     )
     if not report.calibration_image_ids:
-        return (*row, "")
+        return row
     contained = report.final.hausdorff_at(report.grid_delta) <= margin.fraction_of_width
     n_contained, n = int(contained.sum()), len(contained)
     interval = binomtest(n_contained, n).proportion_ci(method="exact")
@@ -171,7 +173,7 @@ def _coverage_row(report: CalibrationReport, margin: ConformalMargin) -> tuple[s
 
 
 def _alpha(alpha: float) -> str:
-    return f"{100 * alpha:.3g} %"
+    return f"{100 * alpha:.3g}%"
 
 
 def _margin_px(px: float) -> str:

@@ -19,6 +19,7 @@ from deltasafe.perception.artifact.frozen_ensemble import (
     write_frozen_ensemble,
 )
 from deltasafe.perception.artifact.model_card import model_card
+from deltasafe.perception.calibration.conformal_margin import ConformalMargins
 from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
@@ -40,6 +41,7 @@ CALIBRATION = Calibration(
     n_calibration_images=40,
     missed_hand_alpha=0.05,
     missed_hand_threshold=0.2,
+    conformal_margins=ConformalMargins((0.05, 0.2), ((0.0, 0.0125), (0.02, None))),
 )
 
 
@@ -154,6 +156,7 @@ def test_format_1_loads_with_torch_and_without_temperature(copy, tmp_path):
     with pytest.raises(ArtifactError, match="older format"):
         load_ensemble(pulled, backend="onnxruntime")
     assert (ensemble.calibration.smallest_supported_delta, ensemble.calibration.missed_hand_threshold) == (0.03, None)
+    assert ensemble.calibration.conformal_margins is None
     mean = ensemble.member_p_occupied(rgb).mean(axis=0, dtype=np.float32)
     assert np.array_equal(ensemble.p_occupied(rgb), mean)
 
@@ -169,8 +172,30 @@ def test_formats_2_and_3_reproduce_golden_image(copy, tmp_path, version, backend
     assert golden_difference(ensemble) <= 1e-4
 
 
+def test_margins_are_stored_with_the_ensemble_and_stated_in_the_model_card(frozen):
+    calibration = load_ensemble(frozen).calibration
+    assert calibration == CALIBRATION
+    assert calibration.conformal_margins.margin(0.05, 0.4).fraction_of_width == 0.0125
+    assert "dilated by **1.25%** of the image's width" in (frozen / "model_card.md").read_text("utf-8")
+
+
+def test_an_artifact_without_margins_is_loaded(members, tmp_path):
+    without = dataclasses.replace(CALIBRATION, conformal_margins=None)
+    frozen = write_frozen_ensemble(members, INFERENCE, without, image(), tmp_path)
+    file, manifest = frozen / "calibration.json", json.loads((frozen / "manifest.json").read_text())
+    older = json.loads(file.read_text())
+    del older["conformal_margins"]
+    file.write_text(json.dumps(older))
+    manifest["files"][file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
+    (frozen / "manifest.json").write_text(json.dumps(manifest))
+    assert manifest["format_version"] == 3
+    assert load_ensemble(frozen.rename(tmp_path / "older")).calibration == without
+    assert "dilated" not in (tmp_path / "older" / "model_card.md").read_text("utf-8")
+
+
 def test_damaged_calibration_is_named(tmp_path):
-    for text in ('{"surplus": 1}', "[1]"):
+    damaged = dataclasses.asdict(CALIBRATION) | {"conformal_margins": {"deltas": [0.05], "scores": [[0.2, 0.1]]}}
+    for text in ('{"surplus": 1}', "[1]", json.dumps(damaged)):
         (tmp_path / "calibration.json").write_text(text)
         with pytest.raises(DataError, match=r"calibration.json: is not a calibration"):
             Calibration.load(tmp_path / "calibration.json")

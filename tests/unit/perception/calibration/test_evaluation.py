@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from deltasafe.errors import SettingsError
+from deltasafe.perception.calibration.conformal_margin import ConformalMargins, hausdorff_at_delta
 from deltasafe.perception.calibration.conformal_risk import conformal_threshold, missed_fractions
 from deltasafe.perception.calibration.delta_support import held_out_support
 from deltasafe.perception.calibration.evaluation import evaluate
@@ -149,6 +150,19 @@ def test_stored_calibration_is_that_of_the_ensemble_as_it_is_used(recalibrate):
     assert (sum(missed) + 1) / 7 <= 0.3
 
 
+@pytest.mark.parametrize("recalibrate", [True, False])
+def test_margins_are_fitted_at_temperatures_that_the_image_did_not_affect(recalibrate):
+    report = evaluate(IMAGES, dataclasses.replace(FAST, recalibrate=recalibrate))
+    counts = [logit_counts(mean, label) for mean, label in zip(MEANS, LABELS, strict=True)]
+    scores = []
+    for i, (mean, label) in enumerate(zip(MEANS, LABELS, strict=True)):
+        others = fit_temperature(stack_logit_counts(counts[:i] + counts[i + 1 :])) if recalibrate else 1.0
+        scores.append(hausdorff_at_delta(apply_temperature(mean, others), label))
+    assert report.final.hausdorff_at_delta == tuple(tuple(row.tolist()) for row in scores)
+    assert report.calibration.conformal_margins == ConformalMargins.of_images(np.array(scores))
+    assert report.farthest_missed == np.argmax([row[DELTA_GRID.index(0.05)] for row in scores])
+
+
 def test_figures_have_their_short_names(report):
     figures = report.figures()
     assert {"pa", "miou", "nll", "bs", "ece", "n_members", "smallest_supported_delta", "temperature"} <= set(figures)
@@ -189,6 +203,19 @@ def test_delta_and_threshold_depend_on_the_calibration_images_alone(separate, ca
     assert [row.threshold for row in other.risk] == [row.threshold for row in separate.risk]
     assert [row.n_images for row in separate.risk] == [9] * 5
     assert other.calibrated.held_out_delta.occupied_fraction > 0.5
+
+
+def test_margins_depend_on_the_calibration_images_alone(separate, calibration_images):
+    opposite = dataclasses.replace(IMAGES, predictions=[np.float32(1) - stack for stack in PREDICTIONS])
+    other = evaluate(opposite, SEPARATE, calibration_images)
+    alone = evaluate(calibration_images, SEPARATE)
+    for name in ("calibrated", "uncalibrated"):
+        margins = [getattr(report, name).margins for report in (other, separate, alone)]
+        assert margins[0] == margins[1] == margins[2]
+        assert margins[0].n_images == 9
+        assert len(getattr(separate, name).hausdorff_at_delta) == 6
+    assert other.final.hausdorff_at_delta != separate.final.hausdorff_at_delta
+    assert alone.final.calibration_hausdorff_at_delta == ()
 
 
 def test_delta_and_threshold_are_evaluated_on_the_test_images(separate):

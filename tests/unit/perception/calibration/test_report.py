@@ -1,6 +1,7 @@
 """The report as a folder, its text, and the gate before the freeze."""
 
 import dataclasses
+import json
 import re
 
 import numpy as np
@@ -169,6 +170,42 @@ def test_settings_outside_their_domain_are_refused(settings):
 def test_thresholds_outside_their_domain_are_refused():
     with pytest.raises(SettingsError, match="miou"):
         GateThresholds(miou=80.0)
+
+
+def test_report_that_was_stored_before_the_margins_is_read_without_them(folder, tmp_path):
+    value = json.loads((folder / "report.json").read_text())
+    for name in ("calibrated", "uncalibrated"):
+        for field in ("hausdorff_at_delta", "calibration_hausdorff_at_delta"):
+            del value[name][field]
+    (tmp_path / "report.json").write_text(json.dumps(value))
+    older = CalibrationReport.load(tmp_path)
+    assert older.final.margins is None
+    assert older.calibration.conformal_margins is None
+    write_calibration_report(tmp_path / "again", older, IMAGES, photograph)
+    assert "margin" not in (tmp_path / "again" / "report.md").read_text("utf-8")
+
+
+def test_text_states_margins_and_their_coverage(report, folder):
+    text = (folder / "report.md").read_text("utf-8")
+    margins = report.final.margins
+    margin = margins.margin(0.05, 0.2)
+    low, high = margin.coverage_interval()
+    assert margins.shown_alphas == (0.2,)
+    assert f"| 0.05 | {margin.px:.1f} |" in text
+    assert f"| 20% | 6 of 6 | {6 / 7:.1%} | {low:.1%} to {high:.1%} |" in text
+    assert f"1 / (6 + 1) = {1 / 7:.2%}" in text
+    assert f"the hand in `{report.image_ids[report.farthest_missed]}` extends farthest" in text
+    assert "fitted on the 6 test images, so that no image is left to measure the coverage on" in text
+    assert "The planner does not use this margin yet" in text
+
+
+def test_text_counts_the_covered_test_images_if_margins_have_images_of_their_own():
+    report = evaluate(IMAGES, CalibrationSettings(n_bootstrap=100), synthetic_ensemble(n_images=9, seed=5))
+    margin = report.final.margins.margin(0.05, 0.2)
+    n_covered = sum(row[DELTA_GRID.index(0.05)] <= margin.fraction_of_width for row in report.final.hausdorff_at_delta)
+    text = report_markdown(report, [])
+    assert re.search(rf"\| 20% \| 8 of 9 \| 80.0% \| [^|]+ \| {n_covered} of 6 \([\d.]+% to [\d.]+%\) \|", text)
+    assert "fitted on the 9 calibration images, and evaluated on the 6 test images" in text
 
 
 def test_text_names_the_calibration_set_and_an_unused_temperature():
