@@ -49,6 +49,7 @@ __all__ = [
 ]
 
 __version__ = "0.1.0"
+"""Version of the package."""
 
 _HOMES = {
     "deltasafe.errors": ["ArtifactError", "DeltasafeError"],

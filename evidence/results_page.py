@@ -8,6 +8,7 @@ import dataclasses
 import math
 import pathlib
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 from deltasafe.errors import DataError
@@ -34,12 +35,15 @@ class Line:
             return f"at least {_plain(self.at_least)}"
         return f"at most {_plain(self.at_most)}" if math.isfinite(self.at_most) else ""
 
-    def row(self, value: float | None) -> str:
-        """Return the row of the table."""
+    def row(self, figures: Mapping[str, float]) -> str:
+        """Return the row of the table, with the interval ``NAME_low`` to ``NAME_high`` if the record has one."""
+        value = figures.get(self.figure)
         if value is None:
-            return f"| {self.description} | not measured | {self.target} | |"
+            return f"| {self.description} | not measured | | {self.target} | |"
+        low, high = figures.get(f"{self.figure}_low"), figures.get(f"{self.figure}_high")
+        interval = "" if low is None or high is None else f"{low:{self.form}} to {high:{self.form}}"
         met = "" if not self.target else ("yes" if self.at_least <= value <= self.at_most else "**no**")
-        return f"| {self.description} | {float(value):{self.form}} | {self.target} | {met} |"
+        return f"| {self.description} | {float(value):{self.form}} | {interval} | {self.target} | {met} |"
 
 
 LINES: dict[str, tuple[Line, ...]] = {
@@ -199,9 +203,9 @@ def results_page(results: pathlib.Path) -> str:
         + ".",
     ]
     for title, lines in LINES.items():
-        text += [f"\n## {title}\n", "| figure | measured | target | met |", "|---|---|---|---|"]
+        text += [f"\n## {title}\n", "| figure | measured | 95 % interval | target | met |", "|---|---|---|---|---|"]
         records = {name: _record(results, name) for name in dict.fromkeys(line.record for line in lines)}
-        text += [line.row(records[line.record].get("figures", {}).get(line.figure)) for line in lines]
+        text += [line.row(records[line.record].get("figures", {})) for line in lines]
         text += ["", *_origins(records)]
     return "\n".join(text) + "\n"
 

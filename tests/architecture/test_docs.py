@@ -10,6 +10,8 @@ import sys
 
 import pytest
 
+import deltasafe.perception
+
 ROOT = pathlib.Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), ROOT / "datasets/README.md", ROOT / "examples/README.md"])
@@ -51,6 +53,35 @@ def test_every_command_on_a_page_exists(path):
     for module in re.findall(r"python -m ((?:pipelines|evidence|generator)[\w.]*)", code):
         place = ROOT / module.removesuffix(".NAME").replace(".", "/")
         assert place.is_dir() or place.with_suffix(".py").is_file(), module
+
+
+def test_measured_figures_stand_in_blocks_that_are_generated():
+    # decisions.md names prototypes and rejected alternatives, which have no record
+    pages = [ROOT / "README.md", *({*DOCS.rglob("*.md")} - {DOCS / "explanation" / "decisions.md"})]
+    measured = re.compile(
+        r"\d (?:minutes|hours|motions|images/s|times as|GPU hours)|(?:mIoU|NLL)[^|\n]{0,20} (?:0\.\d{3}|\d\d\.\d %)"
+    )
+    found = []
+    for path in pages:
+        if DOCS / "results" not in path.parents:
+            text = re.sub(r"<!-- results:.*?<!-- /results -->", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+            found += [f"{name_of(path)}: {match.group()}" for match in measured.finditer(text)]
+    assert found == []
+
+
+@pytest.mark.parametrize("path", [path for path in PAGES if DOCS / "results" not in path.parents], ids=name_of)
+def test_files_and_imports_on_a_page_exist(path):
+    text = path.read_text(encoding="utf-8")
+    if path.name != "CHANGELOG.md":  # its older entries name older files
+        files = re.findall(rf"`((?:{'|'.join(PACKAGES)}|tests)/[\w/]+\.py)`", text)
+        assert [name for name in files if not (ROOT / name).is_file()] == []
+    for module, names in re.findall(r"^from (deltasafe[\w.]*) import (\([^)]*\)|.+)$", text, re.MULTILINE):
+        place = ROOT / module.replace(".", "/")
+        source = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+        assert source.is_file(), module
+        assert [
+            name for name in re.findall(r"\w+", names) if not re.search(rf"\b{name}\b", source.read_text())
+        ] == [], module
 
 
 def test_every_decision_that_the_code_cites_exists():
@@ -97,3 +128,9 @@ def test_the_site_builds_strictly_and_loads_nothing_from_other_hosts(tmp_path):
     shown = (tmp_path / "reference" / "api" / "deltasafe.planning.html").read_text(encoding="utf-8")
     assert 'id="deltasafe.planning.plan_motion"' in shown
     assert "decisions.html#d16" in shown or "decisions.html#d18" in shown
+    for package in (deltasafe, deltasafe.perception):
+        shown = (tmp_path / "reference" / "api" / f"{package.__name__}.html").read_text(encoding="utf-8")
+        assert [name for name in package.__all__ if f'id="{package.__name__}.{name}"' not in shown] == []
+    example = re.sub(r"<[^>]+>", "", (tmp_path / "how-to" / "use-the-api.html").read_text(encoding="utf-8"))
+    assert "grid = grid_from_shapes(obstacles" in example
+    assert "perception.train_ensemble(augmented" in example

@@ -85,26 +85,35 @@ def test_links_are_relative_to_the_page():
 
 
 @pytest.mark.parametrize(
-    ("line", "value", "row"),
+    ("line", "figures", "row"),
     [
-        (Line("a", "b", "ratio", ".1f", 2), 2.04, "| ratio | 2.0 | at least 2 | yes |"),
-        (Line("a", "b", "ratio", ".1f", 2), 1.99, "| ratio | 2.0 | at least 2 | **no** |"),
-        (Line("a", "b", "error", "g", at_most=0), 1, "| error | 1 | at most 0 | **no** |"),
-        (Line("a", "b", "passed", "g", 1), True, "| passed | 1 | at least 1 | yes |"),
-        (Line("a", "b", "time", "g"), 3, "| time | 3 |  |  |"),
-        (Line("a", "b", "time", "g", at_most=4), None, "| time | not measured | at most 4 | |"),
-        (Line("a", "b", "lines", ",.0f", at_most=36_967), 36_968, "| lines | 36,968 | at most 36,967 | **no** |"),
+        (Line("a", "b", "ratio", ".1f", 2), {"b": 2.04}, "| ratio | 2.0 |  | at least 2 | yes |"),
+        (Line("a", "b", "ratio", ".1f", 2), {"b": 1.99}, "| ratio | 2.0 |  | at least 2 | **no** |"),
+        (Line("a", "b", "error", "g", at_most=0), {"b": 1}, "| error | 1 |  | at most 0 | **no** |"),
+        (Line("a", "b", "passed", "g", 1), {"b": True}, "| passed | 1 |  | at least 1 | yes |"),
+        (Line("a", "b", "time", "g"), {"b": 3}, "| time | 3 |  |  |  |"),
+        (Line("a", "b", "time", "g", at_most=4), {}, "| time | not measured | | at most 4 | |"),
+        (
+            Line("a", "b", "lines", ",.0f", at_most=36_967),
+            {"b": 36_968},
+            "| lines | 36,968 |  | at most 36,967 | **no** |",
+        ),
+        (
+            Line("a", "b", "rate", ".2f"),
+            {"b": 0.5, "b_low": 0.4, "b_high": 0.6},
+            "| rate | 0.50 | 0.40 to 0.60 |  |  |",
+        ),
     ],
 )
-def test_row_tells_whether_target_is_met(line, value, row):
-    assert line.row(value) == row
+def test_row_has_interval_and_whether_target_is_met(line, figures, row):
+    assert line.row(figures) == row
 
 
 def test_figures_have_their_command(tmp_path):
     part = {"figures": {"executions": 3000}, "command": "make it", "commit": "abc", "machine": "a machine"}
     write_json(tmp_path / "safety.json", {"figures": part["figures"], "parts": {"one": part}})
     page = results_page.results_page(tmp_path)
-    assert "| executed motions | 3000 | at least 3000 | yes |" in page
+    assert "| executed motions | 3000 |  | at least 3000 | yes |" in page
     assert "* [safety.json](safety.json): `make it` at abc, a machine" in page
 
 
