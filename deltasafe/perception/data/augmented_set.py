@@ -135,12 +135,10 @@ def augment_images(
     backgrounds = backgrounds if ours else None
     background_digest = Backgrounds.load(backgrounds).digest
     with atomic_folder(folder) as temporary:
-        n_threads = cv2.getNumThreads()
         try:
             recipes = _write_images(images, temporary, settings, backgrounds, workers, progress)
         finally:  # a single worker is this process
             _cached_generator.cache_clear()
-            cv2.setNumThreads(n_threads)
         with (temporary / "recipes.jsonl").open("w", encoding="utf-8") as file:
             file.writelines(json.dumps(recipe) + "\n" for recipe in recipes)
         applied = collections.Counter(dict.fromkeys(METHOD_NAMES, 0) if ours else {})
@@ -174,7 +172,7 @@ def _write_images(
     stored_masks = _allocate(folder / "masks.npy", mask_dtype, (n, *size))
     recipes: list[dict[str, Any]] = [{}] * n
     tasks = [
-        Task(f"augmentation of {item.id}", _variants, (images, backgrounds, settings, i))
+        Task(f"augmentation of {item.id}", _variants, (images, backgrounds, settings, os.getpid(), i))
         for i, item in enumerate(images.items)
     ]
     with contextlib.closing(LOCAL.run(tasks, workers)) as results:
@@ -188,8 +186,11 @@ def _write_images(
 
 
 def _variants(
-    images: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings, i: int
+    images: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings, caller_pid: int, i: int
 ) -> list[AugmentedImage]:
+    if os.getpid() != caller_pid:
+        # the workers share the cores; in the caller itself OpenCV's pool may stem from before a fork and would hang
+        cv2.setNumThreads(1)
     return _cached_generator(images, backgrounds, settings)(i)
 
 
@@ -198,7 +199,6 @@ def _cached_generator(
     images: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings
 ) -> VariantGenerator:
     """Create the generator once per process, because it reads all backgrounds or all originals."""
-    cv2.setNumThreads(1)  # the workers share the cores
     return variant_generator(images, Backgrounds.load(backgrounds), settings)
 
 
