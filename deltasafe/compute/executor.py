@@ -6,13 +6,13 @@ The executor for a Ray cluster is in `deltasafe.compute.ray_executor`.
 import collections
 import dataclasses
 import os
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, Protocol
 
 from deltasafe.compute.workers import ERROR, LOST, REPORT, RESULT, Workers
 from deltasafe.errors import SettingsError, WorkerLostError
 
-__all__ = ["LOCAL", "RETRIES", "Executor", "LocalExecutor", "Needs", "Task", "in_order", "worker_lost_error"]
+__all__ = ["LOCAL", "RETRIES", "Executor", "LocalExecutor", "Needs", "Task", "worker_lost_error"]
 
 RETRIES = 2
 """How often a task is retried after its worker process was lost (killed, out of memory, machine failure)."""
@@ -92,17 +92,6 @@ def worker_lost_error(task: Task, reason: str = "") -> WorkerLostError:
         "ends it. Too little memory: run again with fewer workers, finished work is kept. A script that starts workers "
         'needs the guard `if __name__ == "__main__":`'
     )
-
-
-def in_order(finished: Iterable[tuple[int, Any]]) -> Iterator[Any]:
-    """Yield the results of `Executor.run` in the order of the tasks; early results are buffered."""
-    early: dict[int, Any] = {}
-    n_yielded = 0
-    for index, result in finished:
-        early[index] = result
-        while n_yielded in early:
-            yield early.pop(n_yielded)
-            n_yielded += 1
 
 
 class LocalExecutor:

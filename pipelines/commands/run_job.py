@@ -13,7 +13,7 @@ __all__ = ["made", "run_to_end"]
 
 
 def run_to_end(job: Any, steps: Mapping[str, Mapping[str, Any]], again: str) -> bool:
-    """Run a job to its end with progress in the terminal; return whether it run_to_end.
+    """Run a job to its end with progress in the terminal; return whether it succeeded.
 
     Args:
         job: a reconstructable job, because its steps are separate processes.

@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from deltasafe.compute.executor import LOCAL, RETRIES, Needs, Task, in_order
+from deltasafe.compute.executor import LOCAL, RETRIES, Needs, Task
 from deltasafe.compute.processes import is_running
 from deltasafe.errors import DataError, SettingsError, WorkerLostError
 from deltasafe.studies.resumable_jobs import run_batches
@@ -129,10 +129,6 @@ def test_an_error_in_the_callback_ends_the_workers(tmp_path):
 
     with pytest.raises(OSError, match="the log is full"):
         results([Task("", send_many_reports)] * 2, 2, on_report=fail)
-
-
-def test_in_order_yields_results_in_the_order_of_the_tasks():
-    assert list(in_order([(2, "c"), (0, "a"), (1, "b"), (3, "d")])) == ["a", "b", "c", "d"]
 
 
 def test_a_killed_worker_affects_only_its_own_batch(tmp_path):
