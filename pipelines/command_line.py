@@ -1,5 +1,6 @@
-"""Run a command: an expected error is one sentence on stderr and exit status 1, without a traceback."""
+"""What commands share: an expected error is one sentence and exit status 1; options of the study commands."""
 
+import argparse
 import os
 import pathlib
 import sys
@@ -7,7 +8,7 @@ from collections.abc import Callable
 
 from deltasafe.errors import DeltasafeError
 
-__all__ = ["run_command"]
+__all__ = ["run_command", "study_parser"]
 
 
 def run_command(main: Callable[[], int]) -> int:
@@ -20,6 +21,16 @@ def run_command(main: Callable[[], int]) -> int:
             raise
         print(message, file=sys.stderr)
         return 1
+
+
+def study_parser(study: str, description: str | None) -> argparse.ArgumentParser:
+    """Create the parser of ``python -m pipelines.commands.STUDY`` with the options that all studies have."""
+    parser = argparse.ArgumentParser(prog=f"python -m pipelines.commands.{study}", description=description)
+    parser.add_argument("--record", type=pathlib.Path, help="merge the figures into this file (docs/results/...)")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="number of processes (default: one per core)"
+    )
+    return parser
 
 
 def _message(error: Exception) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from deltasafe.errors import DeltasafeError
 from deltasafe.io.storage import read_json
 from deltasafe.presets import VARIABLE
-from pipelines.command_line import run_command
+from pipelines.command_line import run_command, study_parser
 from pipelines.commands.pictures import record_report
 from pipelines.home import prepare_home
 
@@ -25,8 +25,7 @@ def safety_study():  # type: ignore[no-untyped-def]
 
 def main() -> int:
     """Run the job, or film one trial of the last run; return 0 on success, 1 otherwise."""
-    parser = argparse.ArgumentParser(prog="python -m pipelines.commands.safety_study", description=__doc__)
-    parser.add_argument("--record", type=pathlib.Path, help="merge the figures into this file (docs/results/...)")
+    parser = study_parser("safety_study", __doc__)
     parser.add_argument(
         "--scenes", type=pathlib.Path, nargs="+", metavar="DIR", help="folders of scenes (default: packaged)"
     )
@@ -35,9 +34,6 @@ def main() -> int:
         "--ensemble", type=pathlib.Path, metavar="DIR", help="a frozen ensemble (default: the one in use)"
     )
     parser.add_argument("--gamma", type=float, nargs=2, metavar=("GAMMA0_M", "GAMMA1_S"), help="tracking bound")
-    parser.add_argument(
-        "--workers", type=int, default=os.cpu_count() or 1, help="number of processes (default: one per core)"
-    )
     parser.add_argument("--film", type=int, metavar="TRIAL", help="only film this trial of the last run")
     options = parser.parse_args()
     root = prepare_home()

@@ -1,13 +1,12 @@
 """`make tracking-study`: run the tracking study as one Dagster run; finished batches are reused."""
 
-import argparse
 import os
 import pathlib
 import sys
 
 from deltasafe.io.storage import read_json
 from deltasafe.presets import VARIABLE
-from pipelines.command_line import run_command
+from pipelines.command_line import run_command, study_parser
 from pipelines.commands.pictures import record_report
 from pipelines.commands.records import merge_part
 from pipelines.home import prepare_home
@@ -24,11 +23,7 @@ def tracking_study():  # type: ignore[no-untyped-def]
 
 def main() -> int:
     """Run the job; return 0 on success, 1 otherwise."""
-    parser = argparse.ArgumentParser(prog="python -m pipelines.commands.tracking_study", description=__doc__)
-    parser.add_argument("--record", type=pathlib.Path, help="merge the figures into this file (docs/results/...)")
-    parser.add_argument(
-        "--workers", type=int, default=os.cpu_count() or 1, help="number of processes (default: one per core)"
-    )
+    parser = study_parser("tracking_study", __doc__)
     options = parser.parse_args()
     root = prepare_home()
     print(f"Results are written to {root}", flush=True)
