@@ -84,10 +84,10 @@ class Tracker(Protocol):
 
 
 class Registry(Protocol):
-    """The registry of frozen ensembles, one of which is in use."""
+    """The registry of frozen ensembles, one of them is in use."""
 
     def champion(self) -> pathlib.Path | None:
-        """Return the folder of the ensemble in use; None if there is none yet."""
+        """Return the folder of the ensemble in use; None before the first promotion."""
 
     def demotion_reason(self, folder: pathlib.Path) -> str:
         """Return why a person demoted the ensemble ``folder``; empty if it was not demoted."""

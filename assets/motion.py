@@ -61,7 +61,7 @@ def logged_scenes(
 ) -> dg.Output[pathlib.Path]:
     """The selected scenes: image of a table with a hand, camera, start and goal. Each is checked.
 
-    Mask and mesh of the true hand are used only for evaluation. A failure names the file and what is wrong with it.
+    Mask and mesh of the true hand are used only for evaluation. A failure names the file and the defect.
     """
     from deltasafe.io.storage import sha256_of_file
     from deltasafe.trials.overview import tile_pictures
@@ -114,7 +114,7 @@ def planned_motions(
     champion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """A delta-safe path and a velocity schedule per scene, planned by SCC-RRT*; or the reason why there is none.
+    """A delta-safe path and a velocity schedule per scene, planned by SCC-RRT*, or the reason that none was found.
 
     Made from occupancy_fields. Scenes without a motion are listed and do not fail the asset.
     """

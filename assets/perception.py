@@ -92,7 +92,7 @@ def _checked_hands(config: HandsConfig, store: Store, packaged: str) -> dg.Outpu
 def raw_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
     """Labeled training images (image and mask). Every file is checked; the asset is the folder that contains them.
 
-    A failure names the file and what is wrong with it.
+    A failure names the file and the defect.
     """
     return _checked_hands(config, store, "hands/train")
 
@@ -102,7 +102,7 @@ def raw_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[
 def test_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[pathlib.Path]:
     """Labeled test images. Only the calibration report, the comparison with the champion and the studies use them.
 
-    A failure names the file and what is wrong with it.
+    A failure names the file and the defect.
     """
     return _checked_hands(config, store, "hands/test")
 

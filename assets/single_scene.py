@@ -50,7 +50,7 @@ def logged_scene(
 ) -> dg.Output[pathlib.Path]:
     """A newly logged scene: image, camera, start and goal, all checked.
 
-    A failure names the file and what is wrong with it.
+    A failure names the file and the defect.
     """
     from deltasafe.io.storage import sha256_of_file
     from deltasafe.trials.selection import select_scene
@@ -72,7 +72,7 @@ def scene_motion(
     champion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """Occupancy field of the scene and a delta-safe motion in it; or the reason why there is none.
+    """Occupancy field of the scene and a delta-safe motion in it, or the reason that none was found.
 
     Made from logged_scene with the ensemble in use (champion).
     """
