@@ -40,12 +40,12 @@ class Needs:
     Attributes:
         threads: number of threads that a task uses.
         gpu: whether a task uses a GPU, or the configured fraction of one.
-        apart: run in a separate process even if there is only one task, because it changes its process.
+        own_process: run in a separate process even if there is only one task, because it changes its process.
     """
 
     threads: int = 1
     gpu: bool = False
-    apart: bool = False
+    own_process: bool = False
 
 
 class Executor(Protocol):
@@ -60,7 +60,7 @@ class Executor(Protocol):
         """
         ...
 
-    def width(self, workers: int) -> int:
+    def n_parallel(self, workers: int) -> int:
         """Return how many single-threaded tasks run in parallel if ``workers`` are wanted on one machine."""
         ...
 
@@ -103,7 +103,7 @@ class LocalExecutor:
         sizes = [min(workers, n_tasks - first) for first in range(0, n_tasks, workers)]
         return [(size, max(1, cores // size)) for size in sizes]
 
-    def width(self, workers: int) -> int:
+    def n_parallel(self, workers: int) -> int:
         """Return ``workers``."""
         return workers
 
@@ -117,7 +117,7 @@ class LocalExecutor:
         """Run all tasks, as `Executor.run`. All worker processes have ended when this returns or raises."""
         if workers < 1:
             raise SettingsError(f"workers must be at least 1, got {workers}")
-        if not needs.apart and min(workers, len(tasks)) <= 1:
+        if not needs.own_process and min(workers, len(tasks)) <= 1:
             for index, task in enumerate(tasks):
                 yield index, task.work(*([] if on_report is None else [on_report]), *task.arguments)
             return

@@ -66,7 +66,7 @@ class RayExecutor:
         """Return one round of all tasks: the cluster decides how many run in parallel."""
         return [(n_tasks, self.settings.cpus_per_member)] if n_tasks else []
 
-    def width(self, workers: int) -> int:
+    def n_parallel(self, workers: int) -> int:
         """Return the current number of cores of the cluster; 1 without a cluster: finished work needs none."""
         try:
             return max(1, int(self._connected().cluster_resources().get("CPU", 1)))

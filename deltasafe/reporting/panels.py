@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from deltasafe.io.storage import atomic_file
 
-__all__ = ["new_figure", "save", "style_axes"]
+__all__ = ["new_figure", "save_figure", "style_axes"]
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -25,7 +25,7 @@ def style_axes(ax: Axes) -> None:
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def save(figure: Figure, destination: str | pathlib.Path) -> None:
+def save_figure(figure: Figure, destination: str | pathlib.Path) -> None:
     """Write the figure atomically; the suffix selects the format."""
     with atomic_file(destination) as temporary:
         figure.savefig(temporary)

@@ -85,7 +85,7 @@ def run_batches(
     batches = [_read(file) for file in files]
     minutes = (time.monotonic() - started_s) / 60
     if len(missing) < len(jobs):
-        minutes = sum(float(batch["wall_s"]) for batch in batches) / 60 / executor.width(workers)
+        minutes = sum(float(batch["wall_s"]) for batch in batches) / 60 / executor.n_parallel(workers)
     return batches, Effort(minutes, sum(float(batch["cpu_s"]) for batch in batches) / 60)
 
 

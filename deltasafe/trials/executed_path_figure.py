@@ -14,7 +14,7 @@ from deltasafe.geometry import yaw_of
 from deltasafe.planning import PlannedMotion
 from deltasafe.reporting import over_image
 from deltasafe.reporting.over_image import CLEAR, INK, LIMIT, SIGNAL
-from deltasafe.reporting.panels import save
+from deltasafe.reporting.panels import save_figure
 from deltasafe.scene import Camera
 from deltasafe.trials.motion_figure import body_outlines
 
@@ -56,7 +56,7 @@ def executed_over_image(
     _draw_limits(axes, motion, execution, speed)
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontsize=11)
-    save(figure, destination)
+    save_figure(figure, destination)
 
 
 def arc_length_of_samples_m(execution: Execution) -> Array:

@@ -59,7 +59,7 @@ def execute_scenes(
     with (
         atomic_folder(folder) as temporary,
         # a process of its own even for one worker: PyBullet's C code may crash, and writes to the standard streams
-        contextlib.closing(executor.run(tasks, workers, Needs(apart=True))) as results,
+        contextlib.closing(executor.run(tasks, workers, Needs(own_process=True))) as results,
     ):
         for index, (outcome, execution) in results:
             outcomes[index] = outcome

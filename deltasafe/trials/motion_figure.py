@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from deltasafe.planning import PlannedMotion, ToolBody
 from deltasafe.reporting import over_image
 from deltasafe.reporting.over_image import CLEAR, INK, LIMIT, SIGNAL
-from deltasafe.reporting.panels import save
+from deltasafe.reporting.panels import save_figure
 from deltasafe.scene import Camera
 
 __all__ = ["body_outlines", "plan_over_image"]
@@ -54,7 +54,7 @@ def plan_over_image(
         )
     else:
         _draw_profile(axes, motion, table_z_m)
-    save(figure, destination)
+    save_figure(figure, destination)
 
 
 def _draw_image(

@@ -77,7 +77,7 @@ def check_scene(random: Random, name: str, outcome: Outcome) -> None:
     field = DistanceField.build(grid, delta)
     test = segment_test(field, body, margin_m, CheckSettings())
     wider = segment_test(field, body, min(margin_m + random.choice((1e-5, 0.0005, 0.003)), 0.02), CheckSettings())
-    stricter = segment_test(field.at(delta * random.choice((0.5, 0.9, 0.999))), body, margin_m, CheckSettings())
+    stricter = segment_test(field.at_delta(delta * random.choice((0.5, 0.9, 0.999))), body, margin_m, CheckSettings())
     finest = segment_test(field, body, margin_m, CheckSettings(resolution_m=FINEST_RESOLUTION_M))
     # shrunk by 1e-9, so that rounding cannot move a point out of the enlarged body
     points = body.samples(margin_m, N_POINTS, seed=7) * (1 - 1e-9)

@@ -114,7 +114,7 @@ class Study:
         one, one_s = self._run("one-host", executor)
         self.cluster.add_host()
         deadline = time.monotonic() + TIMEOUT_S
-        while executor.width(1) < N_HOSTS and time.monotonic() < deadline:
+        while executor.n_parallel(1) < N_HOSTS and time.monotonic() < deadline:
             time.sleep(0.2)
         self._warm_up("warm-2", executor)
         two, two_s = self._run("two-hosts", executor)

@@ -98,9 +98,9 @@ def _seeds(root: pathlib.Path) -> dict[str, int]:
 
 
 def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
-    from pipelines.commands.run_job import made  # imports dagster, which takes seconds
+    from pipelines.commands.run_job import latest_folder  # imports dagster, which takes seconds
 
-    return made(root, asset)
+    return latest_folder(root, asset)
 
 
 def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:

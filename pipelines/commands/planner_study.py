@@ -29,12 +29,12 @@ def main() -> int:
 
     import dagster as dg
 
-    from pipelines.commands.run_job import made, run_to_end
+    from pipelines.commands.run_job import latest_folder, run_to_end
 
     steps = {name: {"workers": options.workers} for name in ("planner_costs", "planner_times")}
     if not run_to_end(dg.reconstructable(planner_study), steps, "`make planner-study`"):
         return 1
-    folder = made(root, "planner_report")
+    folder = latest_folder(root, "planner_report")
     figures = read_json(folder / "figures.json")
     _print_summary(folder, figures)
     if options.record:

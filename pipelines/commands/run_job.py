@@ -9,7 +9,7 @@ import dagster as dg
 from pipelines.automation.lost_runs import fail_lost_runs
 from pipelines.storage.io_manager import FolderPointers
 
-__all__ = ["made", "run_to_end"]
+__all__ = ["latest_folder", "run_to_end"]
 
 
 def run_to_end(job: Any, steps: Mapping[str, Mapping[str, Any]], again: str) -> bool:
@@ -30,6 +30,6 @@ def run_to_end(job: Any, steps: Mapping[str, Mapping[str, Any]], again: str) -> 
     return False
 
 
-def made(root: pathlib.Path, asset: str) -> pathlib.Path:
+def latest_folder(root: pathlib.Path, asset: str) -> pathlib.Path:
     """Return the folder of the latest version of an asset in the home ``root``."""
     return FolderPointers(home=str(root)).folder(dg.AssetKey(asset))

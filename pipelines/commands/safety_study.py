@@ -43,7 +43,7 @@ def main() -> int:
 
     import dagster as dg
 
-    from pipelines.commands.run_job import made, run_to_end
+    from pipelines.commands.run_job import latest_folder, run_to_end
 
     study: dict[str, Any] = {}
     if options.executions is not None:
@@ -57,7 +57,7 @@ def main() -> int:
         trials["ensemble"] = str(options.ensemble.expanduser().resolve())
     if not run_to_end(dg.reconstructable(safety_study), {"safety_trials": trials}, "`make safety-study`"):
         return 1
-    folder = made(root, "safety_study_report")
+    folder = latest_folder(root, "safety_study_report")
     figures = read_json(folder / "figures.json")
     _print_summary(folder, figures)
     if options.record:
@@ -68,10 +68,10 @@ def main() -> int:
 def _film(root: pathlib.Path, trial: int) -> int:
     from deltasafe.execution import save_film
     from deltasafe.studies.safety import SafetyStudy, replay
-    from pipelines.commands.run_job import made
+    from pipelines.commands.run_job import latest_folder
 
     try:
-        study = SafetyStudy.load(made(root, "safety_trials"))
+        study = SafetyStudy.load(latest_folder(root, "safety_trials"))
         predictor = study.inputs.predictor
         assert predictor is not None
         scene, execution = replay(study.settings, study.inputs.scenes, predictor, trial)

@@ -30,12 +30,12 @@ def main() -> int:
 
     import dagster as dg
 
-    from pipelines.commands.run_job import made, run_to_end
+    from pipelines.commands.run_job import latest_folder, run_to_end
 
     steps = {"tracking_bound": {"workers": options.workers}}
     if not run_to_end(dg.reconstructable(tracking_study), steps, "`make tracking-study`"):
         return 1
-    folder = made(root, "tracking_bound")
+    folder = latest_folder(root, "tracking_bound")
     report = folder.with_name(f"{folder.name}-report")
     figures = read_json(report / "figures.json")
     for name, value in figures.items():

@@ -33,7 +33,7 @@ def long_work() -> None:
     """Work for an hour."""
     how = os.environ["LONG_RUN_HOW"]
     if how == "workers":
-        with contextlib.closing(LOCAL.run([Task("", sleep)] * 2, 2, Needs(apart=True))) as finished:
+        with contextlib.closing(LOCAL.run([Task("", sleep)] * 2, 2, Needs(own_process=True))) as finished:
             dict(finished)
     mark()
     while True:

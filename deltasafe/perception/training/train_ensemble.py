@@ -100,7 +100,7 @@ def train_members(
     for size, n_threads in executor.rounds(len(jobs), workers):
         group = jobs[len(trained) : len(trained) + size]
         tasks = [Task(f"training of {job.name}", _train, (data, settings, device, n_threads, job)) for job in group]
-        needs = Needs(n_threads, gpu=device != "cpu", apart=True)
+        needs = Needs(n_threads, gpu=device != "cpu", own_process=True)
         with contextlib.closing(executor.run(tasks, size, needs, forward_report)) as results:
             members = dict(results)
         trained |= {job.name: members[index] for index, job in enumerate(group)}

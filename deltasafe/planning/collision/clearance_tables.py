@@ -13,21 +13,21 @@ from deltasafe.planning.collision.yaw_clearance_table import NO_YAW_TABLE, YawCl
 __all__ = ["UNIT_M", "ClearanceTables", "clearance_tables_of", "table_clearance_m"]
 
 UNIT_M = 0.0005
-"""Resolution of ``ClearanceTables.distance``: 255 steps reach 127 mm."""
+"""Resolution of ``ClearanceTables.steps``: 255 steps reach 127 mm."""
 
 
 class ClearanceTables(NamedTuple):
     """Clearance tables of a body in a field.
 
     Attributes:
-        distance: (cx, cy, cz) uint8. v > 0: the clearance is at least (v - 1) ``UNIT_M``, wherever in the cell the
+        steps: (cx, cy, cz) uint8. v > 0: the clearance is at least (v - 1) ``UNIT_M``, wherever in the cell the
             center is and whatever its yaw. 0: no bound.
         by_yaw: finer table with a bound per yaw bin; may be empty.
-        lattice: of the field; a cell of ``distance`` has an edge of ``stride`` voxels.
-        cells_per_m: cells of ``distance`` per meter.
+        lattice: of the field; a cell of ``steps`` has an edge of ``stride`` voxels.
+        cells_per_m: cells of ``steps`` per meter.
     """
 
-    distance: NDArray[np.uint8]
+    steps: NDArray[np.uint8]
     by_yaw: YawClearanceTable
     lattice: Lattice
     cells_per_m: float
@@ -62,9 +62,9 @@ def _clearance_steps(point_m, ray_m, cell_m, body):  # type: ignore[no-untyped-d
 @inlined
 def table_clearance_m(tables, pose):  # type: ignore[no-untyped-def]
     """Look up a lower bound of the clearance at a pose, valid at any yaw; -inf if the table has none."""
-    nx, ny, nz = tables.distance.shape
+    nx, ny, nz = tables.steps.shape
     i = int(min(max((pose[0] - tables.lattice.lower_x_m) * tables.cells_per_m, 0.0), nx - 1.0))
     j = int(min(max((pose[1] - tables.lattice.lower_y_m) * tables.cells_per_m, 0.0), ny - 1.0))
     k = int(min(max((pose[2] - tables.lattice.lower_z_m) * tables.cells_per_m, 0.0), nz - 1.0))
-    steps = tables.distance[i, j, k]
+    steps = tables.steps[i, j, k]
     return UNIT_M * (steps - 1.0) if steps > 0 else -np.inf

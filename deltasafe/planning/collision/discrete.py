@@ -23,7 +23,7 @@ class StepParams(NamedTuple):
     """Spacing of the tested poses, and the clearance that each needs: margin plus half of the spacing."""
 
     rho_max_m: float
-    need_m: float
+    needed_m: float
     delta_p_m: float
     use_clearance_tables: bool
 
@@ -66,7 +66,7 @@ def _sampled(test, first, second):  # type: ignore[no-untyped-def]
 @kernel
 def _exact(test, first, second):  # type: ignore[no-untyped-def]
     start, end = in_order(first, second)
-    last, needed_m = _last_step(test.steps, start, end), test.steps.need_m
+    last, needed_m = _last_step(test.steps, start, end), test.steps.needed_m
     height_m = test.body.half_thickness_m + needed_m
     step, pose = _next_open_step(test.tables, test.steps, start, end, last, 0)
     while step <= last:
@@ -91,10 +91,10 @@ def _next_open_step(tables, steps, start, end, last, step):  # type: ignore[no-u
         pose = pose_at(start, end, step * per_step)
         if steps.use_clearance_tables:
             clearance_m = table_clearance_m(tables, pose)
-            if clearance_m >= steps.need_m:  # the poses within the remaining clearance are free as well
-                step += 1 + int((clearance_m - steps.need_m) * per_m)
+            if clearance_m >= steps.needed_m:  # the poses within the remaining clearance are free as well
+                step += 1 + int((clearance_m - steps.needed_m) * per_m)
                 continue
-        if not (tables.by_yaw.clear_m >= steps.need_m and is_free_by_yaw(tables.by_yaw, tables.lattice, pose)):
+        if not (tables.by_yaw.clear_m >= steps.needed_m and is_free_by_yaw(tables.by_yaw, tables.lattice, pose)):
             break
         step += 1
     return step, pose

@@ -111,7 +111,7 @@ class DistanceField:
         )
         return cls(grid, float(delta), FieldArrays(squared, _minimum_above(squared), lattice, float(grid.origin_m[2])))
 
-    def at(self, delta: float) -> "DistanceField":
+    def at_delta(self, delta: float) -> "DistanceField":
         """Return the field of the same grid at another level; computes the distances anew."""
         return self if delta == self.delta else DistanceField.build(self.grid, delta)
 

@@ -22,7 +22,7 @@ class SamplePool(NamedTuple):
 
     Attributes:
         points: (3, n) float32 in voxels, in the body's frame; padded to whole blocks.
-        unsafe: (nx * ny * ceil(nz / 32),) int32, one bit per voxel.
+        unsafe_bits: (nx * ny * ceil(nz / 32),) int32, one bit per voxel.
         n_samples: N_x.
         redraw: start at a random point for each pose, or always at the first.
         floor: height of the table in voxels above the lattice's lower face.
@@ -30,7 +30,7 @@ class SamplePool(NamedTuple):
     """
 
     points: NDArray[np.float32]
-    unsafe: NDArray[np.int32]
+    unsafe_bits: NDArray[np.int32]
     n_samples: int
     redraw: bool
     floor: float
@@ -76,7 +76,7 @@ def samples_are_free(lattice, pool, pose, bits):  # type: ignore[no-untyped-def]
     last_u, last_v, last_w = np.float32(lattice.nx - 1), np.float32(lattice.ny - 1), np.float32(lattice.nz - 1)
     zero, floor = np.float32(0.0), np.float32(pool.floor)
     rows, columns = np.int32(lattice.ny), np.int32((lattice.nz + 31) // 32)
-    end, unsafe = first + pool.n_samples, pool.unsafe
+    end, unsafe = first + pool.n_samples, pool.unsafe_bits
     for begin in range(first, end, BLOCK):
         stop, remaining, hit = begin + BLOCK, np.int32(end - begin), np.int32(0)
         xs, ys, zs = pool.points[0, begin:stop], pool.points[1, begin:stop], pool.points[2, begin:stop]

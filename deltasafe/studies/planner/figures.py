@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from deltasafe.reporting.panels import new_figure, save, style_axes
+from deltasafe.reporting.panels import new_figure, save_figure, style_axes
 from deltasafe.studies import baselines
 from deltasafe.studies.planner.cost_comparison import SCENES, Comparison
 from deltasafe.studies.planner.methods import MAIN, compared_methods
@@ -43,7 +43,7 @@ def plot_cost(found: Comparison, destination: str | pathlib.Path) -> None:
         style_axes(ax)
         ax.set_xlim(0, found.settings.largest_level_m / PAPER_UNIT_M)
     axes[0, 0].legend(frameon=False, fontsize=8.5, loc="upper left")
-    save(figure, destination)
+    save_figure(figure, destination)
 
 
 def plot_references(found: Comparison, destination: str | pathlib.Path) -> None:
@@ -63,7 +63,7 @@ def plot_references(found: Comparison, destination: str | pathlib.Path) -> None:
         style_axes(ax)
     figure.axes[0].set_ylabel("cost above that at no uncertainty [%]")
     figure.axes[0].legend(frameon=False, fontsize=8.5, loc="upper left")
-    save(figure, destination)
+    save_figure(figure, destination)
 
 
 def plot_time(found: Timing, destination: str | pathlib.Path) -> None:
@@ -105,7 +105,7 @@ def plot_time(found: Timing, destination: str | pathlib.Path) -> None:
         Line2D([], [], color=blue, lw=1.8, ls="--", label="Max. prob. approx., numeric search"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=8.5)
-    save(figure, destination)
+    save_figure(figure, destination)
 
 
 def _curve(ax: Axes, found: Comparison, scene: str, name: str, color: str, **options: Any) -> None:

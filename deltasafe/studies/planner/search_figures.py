@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from deltasafe.planning import DistanceField, SearchTree, ToolBody
-from deltasafe.reporting.panels import new_figure, save
+from deltasafe.reporting.panels import new_figure, save_figure
 from deltasafe.scene import OccupancyGrid
 from deltasafe.trials.motion_figure import body_outlines
 
@@ -72,7 +72,7 @@ def search_from_above(
     ax.set(xlim=extent[:2], ylim=extent[2:], xlabel="x [m]", ylabel="y [m]", aspect="equal")
     ax.spines[["top", "right"]].set_visible(False)
     _finish(figure, ax, handles, tree, grid, title)
-    save(figure, destination)
+    save_figure(figure, destination)
 
 
 def search_in_space(
@@ -110,7 +110,7 @@ def search_in_space(
     ax.set_proj_type("persp", focal_length=2.0)
     ax.view_init(elev=34.0, azim=-62.0)
     _finish(figure, ax, [Patch(facecolor=SOLID, label=f"P(occupied) > {field.delta:g}")], tree, grid, title)
-    save(figure, destination)
+    save_figure(figure, destination)
 
 
 def _finish(

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from deltasafe.reporting.panels import new_figure, save, style_axes
+from deltasafe.reporting.panels import new_figure, save_figure, style_axes
 from deltasafe.studies import baselines
 from deltasafe.studies.safety.evidence import Rate, by_speed, evaluate
 from deltasafe.studies.safety.study import SafetyStudy
@@ -107,7 +107,7 @@ def _handles(study: SafetyStudy, methods: Iterable[str], **style: Any) -> list[L
 
 def _save_with_legend(figure: Figure, handles: list[Line2D], columns: int, destination: str | pathlib.Path) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5)
-    save(figure, destination)
+    save_figure(figure, destination)
 
 
 def _draw_interval(ax: Axes, x: float, rate: Rate, color: str) -> None:

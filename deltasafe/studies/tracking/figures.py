@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from deltasafe.planning.tracking_bound import TrackingBound
-from deltasafe.reporting.panels import new_figure, save
+from deltasafe.reporting.panels import new_figure, save_figure
 from deltasafe.studies.tracking.study import TrackingStudy
 from deltasafe.studies.tracking.tracking_errors import PHASES_OF_SPEED
 
@@ -26,7 +26,7 @@ def plot_tracking(study: TrackingStudy, destination: str | pathlib.Path) -> None
     _draw_excesses(right, study)
     for ax in (left, right):
         ax.grid(alpha=0.3)
-    save(figure, destination)
+    save_figure(figure, destination)
 
 
 def _draw_errors(ax: Axes, study: TrackingStudy) -> None:

@@ -31,7 +31,7 @@ namespace og = ompl::geometric;
 constexpr int32_t BLOCK = 16;
 
 struct Numbers {
-    double lower[3], per_m, cells_per_m, unit_m, rho_max_m, delta_p_m, need_m, floor_voxels;
+    double lower[3], per_m, cells_per_m, unit_m, rho_max_m, delta_p_m, needed_m, floor_voxels;
     double rotation_weight, steering, goal_bias, start[4], goal[4], low[4], high[4], bins_per_rad;
     int64_t nx, ny, nz, cx, cy, cz, n_samples, columns, pool, seed, bins, words;
 };
@@ -76,7 +76,7 @@ struct Problem {
         const int j = clipped((y - n.lower[1]) * n.cells_per_m, n.cy - 1);
         const int k = clipped((z - n.lower[2]) * n.cells_per_m, n.cz - 1);
         const int steps = certificate[(i * n.cy + j) * n.cz + k];
-        return steps > 0 && n.unit_m * (steps - 1.0) >= n.need_m;
+        return steps > 0 && n.unit_m * (steps - 1.0) >= n.needed_m;
     }
 
     bool freeByYaw(double x, double y, double z, double yaw) const {

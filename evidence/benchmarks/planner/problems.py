@@ -107,16 +107,16 @@ def write_problem(problem: Problem, n_samples: int, file: pathlib.Path, by_yaw: 
     """Write the sampled test of a problem in the binary format of the C++ harness."""
     test = problem.test("sampled", n_samples, by_yaw=by_yaw)
     assert isinstance(test, SampledTest)
-    certificates, pool, steps = test
-    lattice, yaw = certificates.lattice, certificates.by_yaw
+    tables, pool, steps = test
+    lattice, yaw = tables.lattice, tables.by_yaw
     pose = [*START, *GOAL, *LOWEST_POSE, *HIGHEST_POSE]
-    scale = [*lattice[:3], lattice.per_m, certificates.cells_per_m, UNIT_M]
-    limits = [steps.rho_max_m, steps.delta_p_m, steps.need_m, pool.floor]
+    scale = [*lattice[:3], lattice.per_m, tables.cells_per_m, UNIT_M]
+    limits = [steps.rho_max_m, steps.delta_p_m, steps.needed_m, pool.floor]
     search = [COST.rotation_weight_m2, STEERING_M, GOAL_BIAS]
     numbers = np.array([*scale, *limits, *search, *pose, yaw.bins_per_rad], np.float64)
     shape = lattice.nx, lattice.ny, lattice.nz
     free = yaw.free
     sizes = n_samples, pool.points.shape[1], POOL_SIZE, pool.seed, free.shape[0], free.shape[3]
-    counts = np.array([*shape, *certificates.distance.shape, *sizes], np.int64)
-    arrays = numbers, counts, certificates.distance, pool.unsafe, pool.points, free
+    counts = np.array([*shape, *tables.steps.shape, *sizes], np.int64)
+    arrays = numbers, counts, tables.steps, pool.unsafe_bits, pool.points, free
     file.write_bytes(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays))

@@ -79,11 +79,11 @@ def test_every_task_runs_once_and_results_have_its_index(workers, needs, here):
 
 
 def test_a_task_that_needs_its_own_process_gets_one():
-    ((_, pid),) = results([Task("alone", double, (1,))], 1, Needs(apart=True)).values()
+    ((_, pid),) = results([Task("alone", double, (1,))], 1, Needs(own_process=True)).values()
     assert pid != os.getpid()
 
 
-@pytest.mark.parametrize("needs", [Needs(), Needs(apart=True)], ids=["here", "apart"])
+@pytest.mark.parametrize("needs", [Needs(), Needs(own_process=True)], ids=["here", "apart"])
 @pytest.mark.parametrize("workers", [1, 2])
 def test_all_reports_arrive_before_the_end(workers, needs):
     reports = []
@@ -98,7 +98,7 @@ def test_an_error_keeps_its_type_and_running_tasks_finish_first(tmp_path):
         received.extend(LOCAL.run([Task("", wait_for, (mark,)), Task("", fail, (mark,))], 2))
     assert received == [(0, mark)]
     with pytest.raises(DataError):
-        received.extend(LOCAL.run([Task("", fail, (mark,)), Task("", wait_for, (mark,))], 1, Needs(apart=True)))
+        received.extend(LOCAL.run([Task("", fail, (mark,)), Task("", wait_for, (mark,))], 1, Needs(own_process=True)))
     assert received == [(0, mark)], "no task starts after an error"
 
 
@@ -108,12 +108,12 @@ def test_an_error_keeps_its_type_and_running_tasks_finish_first(tmp_path):
 )
 def test_unpicklable_results_and_errors_raise_instead_of_hanging(work, message):
     with pytest.raises(Exception, match=message):
-        results([Task("", work)], 1, Needs(apart=True))
+        results([Task("", work)], 1, Needs(own_process=True))
 
 
 def test_an_error_carries_the_traceback_of_the_worker(tmp_path):
     with pytest.raises(DataError) as raised:
-        results([Task("", fail, (str(tmp_path / "mark"),))], 1, Needs(apart=True))
+        results([Task("", fail, (str(tmp_path / "mark"),))], 1, Needs(own_process=True))
     assert "in fail" in str(raised.value.__cause__)
 
 
@@ -178,7 +178,7 @@ if __name__ == "__main__":
         signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))  # as Dagster does
     tasks = [Task(f"{n}", sleep, (sys.argv[1], sys.argv[2] == "ignores")) for n in range(4)]
     print("running", flush=True)
-    with contextlib.closing(LOCAL.run(tasks, 2, Needs(apart=True))) as finished:
+    with contextlib.closing(LOCAL.run(tasks, 2, Needs(own_process=True))) as finished:
         dict(finished)
 """
 
@@ -278,7 +278,7 @@ class Backwards:
     def rounds(self, n_tasks, workers):
         return [(n_tasks, 1)]
 
-    def width(self, workers):
+    def n_parallel(self, workers):
         return 5
 
     def run(self, tasks, workers, needs=None, on_report=None):

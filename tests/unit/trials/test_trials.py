@@ -162,7 +162,7 @@ def test_planning_below_the_supported_delta_writes_nothing(chain, tmp_path):
 def test_executions_do_not_depend_on_workers_and_executor(chain, tmp_path):
     class InThisProcess:
         def run(self, tasks, workers, needs):
-            assert (workers, needs.apart) == (7, True)
+            assert (workers, needs.own_process) == (7, True)
             yield from reversed([(index, task.work(*task.arguments)) for index, task in enumerate(tasks)])
 
     scenes, root, _, outcomes, _ = chain

@@ -53,10 +53,10 @@ def test_table_accepts_most_poses_that_the_coarse_table_does_not(field: Distance
         segment_test(field, body, 0.001, CheckSettings("exact", by_yaw=by_yaw)).tables for by_yaw in (False, True)
     )
     assert plain.by_yaw.clear_m < 0 < with_yaw.by_yaw.clear_m
-    need_m = with_yaw.by_yaw.clear_m
-    coarse = np.array([table_clearance_m(plain, tuple(pose)) >= need_m for pose in poses])
-    clear = body_clearance_m(segment_test(field, body, 0.0), poses) >= need_m
-    assert (free(field, body, need_m, poses) & ~coarse).sum() > 0.5 * (clear & ~coarse).sum() > 50
+    needed_m = with_yaw.by_yaw.clear_m
+    coarse = np.array([table_clearance_m(plain, tuple(pose)) >= needed_m for pose in poses])
+    clear = body_clearance_m(segment_test(field, body, 0.0), poses) >= needed_m
+    assert (free(field, body, needed_m, poses) & ~coarse).sum() > 0.5 * (clear & ~coarse).sum() > 50
 
 
 @pytest.mark.parametrize("method", ["sampled", "exact", "continuous"])
@@ -79,4 +79,4 @@ def test_table_is_cached_per_field_body_and_clearance(field: DistanceField) -> N
     first = yaw_clearance_table(field, ToolBody(), CLEAR_M)
     assert yaw_clearance_table(field, ToolBody(), CLEAR_M) is first
     assert yaw_clearance_table(field, ToolBody(thickness_m=0.011), CLEAR_M) is not first
-    assert yaw_clearance_table(field.at(0.2), ToolBody(), CLEAR_M) is not first
+    assert yaw_clearance_table(field.at_delta(0.2), ToolBody(), CLEAR_M) is not first
