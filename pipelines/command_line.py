@@ -1,6 +1,5 @@
-"""What commands share: an expected error is one sentence and exit status 1; options of the study commands."""
+"""Expected errors of commands: one sentence and exit status 1."""
 
-import argparse
 import os
 import pathlib
 import sys
@@ -8,7 +7,7 @@ from collections.abc import Callable
 
 from deltasafe.errors import DeltasafeError
 
-__all__ = ["run_command", "study_parser"]
+__all__ = ["run_command"]
 
 
 def run_command(main: Callable[[], int]) -> int:
@@ -21,16 +20,6 @@ def run_command(main: Callable[[], int]) -> int:
             raise
         print(message, file=sys.stderr)
         return 1
-
-
-def study_parser(study: str, description: str | None) -> argparse.ArgumentParser:
-    """Create the parser of ``python -m pipelines.commands.STUDY`` with the options that all studies have."""
-    parser = argparse.ArgumentParser(prog=f"python -m pipelines.commands.{study}", description=description)
-    parser.add_argument("--record", type=pathlib.Path, help="merge the figures into this file (docs/results/...)")
-    parser.add_argument(
-        "--workers", type=int, default=os.cpu_count() or 1, help="number of processes (default: one per core)"
-    )
-    return parser
 
 
 def _message(error: Exception) -> str:

@@ -16,13 +16,6 @@ from pipelines.home import prepare_home
 __all__ = ["main"]
 
 
-def everything():  # type: ignore[no-untyped-def]
-    """Return the job; the processes of its steps import it by this name."""
-    from pipelines.definitions import defs
-
-    return defs().resolve_job_def("everything")
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the job; return 0 if every step and every blocking check passed, else 1."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.commands.demo", description=__doc__)
@@ -40,12 +33,10 @@ def _run(recorded: pathlib.Path | None) -> int:
         return 1
     print(f"Preset {preset!r}; results are written to {root}", flush=True)
 
-    import dagster as dg
-
-    from pipelines.commands.run_job import run_to_end
+    from pipelines.commands.run_job import run_to_end  # imports dagster, which takes seconds
 
     began_s = time.monotonic()
-    if not run_to_end(dg.reconstructable(everything), {}, "`make demo`"):
+    if not run_to_end("everything", {}, "`make demo`"):
         return 1
     figures = _figures(root) | {"minutes_total": round((time.monotonic() - began_s) / 60, 1)}
     command = f"make {'record' if recorded else 'demo'}" + ("" if preset == "default" else f" PRESET={preset}")
@@ -98,7 +89,7 @@ def _seeds(root: pathlib.Path) -> dict[str, int]:
 
 
 def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
-    from pipelines.commands.run_job import latest_folder  # imports dagster, which takes seconds
+    from pipelines.commands.run_job import latest_folder
 
     return latest_folder(root, asset)
 

@@ -10,8 +10,6 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from assets.interfaces import Store
-from assets.perception_study import CellConfig, open_study
 from deltasafe import presets
 from pipelines.command_line import run_command
 from pipelines.home import DATASETS, home
@@ -56,6 +54,9 @@ def main() -> int:
 
 def open_packaged(root: pathlib.Path, workers: int = 0) -> "Study":
     """Open the study of the active preset on the packaged data, as the assets do."""
+    from assets.interfaces import Store
+    from assets.perception_study import CellConfig, open_study  # reads the preset, which may be mistyped
+
     hands = DATASETS / "hands"
     return open_study(CellConfig(workers=workers), hands / "train", hands / "test", Store(root, DATASETS))
 

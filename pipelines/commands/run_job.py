@@ -9,18 +9,26 @@ import dagster as dg
 from pipelines.automation.lost_runs import fail_lost_runs
 from pipelines.storage.io_manager import FolderPointers
 
-__all__ = ["latest_folder", "run_to_end"]
+__all__ = ["job_named", "latest_folder", "run_to_end"]
 
 
-def run_to_end(job: Any, steps: Mapping[str, Mapping[str, Any]], again: str) -> bool:
+def job_named(name: str) -> dg.JobDefinition:
+    """Return a job of this project; the processes of its steps call this function, too."""
+    from pipelines.definitions import defs
+
+    return defs().resolve_job_def(name)
+
+
+def run_to_end(name: str, steps: Mapping[str, Mapping[str, Any]], again: str) -> bool:
     """Run a job to its end with progress in the terminal; return whether it succeeded.
 
     Args:
-        job: a reconstructable job, because its steps are separate processes.
+        name: of the job. Its steps are separate processes.
         steps: configuration by step.
         again: the command that resumes the run; printed if the run fails.
     """
-    ops = {name: {"config": dict(config)} for name, config in steps.items()}
+    job = dg.build_reconstructable_job(__name__, job_named.__name__, (name,))
+    ops = {step: {"config": dict(config)} for step, config in steps.items()}
     with dg.DagsterInstance.get() as instance:
         fail_lost_runs(instance)  # a killed run would hold its pool slots forever
         run_config = {"loggers": {"console": {"config": {}}}, "ops": ops}

@@ -1,26 +1,17 @@
 """`make safety-study`: run the safety study as one Dagster run; finished scenarios are reused."""
 
 import argparse
-import os
 import pathlib
 import sys
 from typing import Any
 
 from deltasafe.errors import DeltasafeError
 from deltasafe.io.storage import read_json
-from deltasafe.presets import VARIABLE
-from pipelines.command_line import run_command, study_parser
-from pipelines.commands.pictures import record_report
+from pipelines.command_line import run_command
+from pipelines.commands.study_run import record_study, run_study, study_parser
 from pipelines.home import prepare_home
 
 __all__ = ["main"]
-
-
-def safety_study():  # type: ignore[no-untyped-def]
-    """Return the job; the processes of its steps import it by this name."""
-    from pipelines.definitions import defs
-
-    return defs().resolve_job_def("safety_study")
 
 
 def main() -> int:
@@ -36,15 +27,8 @@ def main() -> int:
     parser.add_argument("--gamma", type=float, nargs=2, metavar=("GAMMA0_M", "GAMMA1_S"), help="tracking bound")
     parser.add_argument("--film", type=int, metavar="TRIAL", help="only film this trial of the last run")
     options = parser.parse_args()
-    root = prepare_home()
     if options.film is not None:
-        return _film(root, options.film)
-    print(f"Results are written to {root}", flush=True)
-
-    import dagster as dg
-
-    from pipelines.commands.run_job import latest_folder, run_to_end
-
+        return _film(prepare_home(), options.film)
     study: dict[str, Any] = {}
     if options.executions is not None:
         study["n_executions"] = options.executions
@@ -55,13 +39,13 @@ def main() -> int:
         trials["scenes"] = [str(folder.expanduser().resolve()) for folder in options.scenes]
     if options.ensemble:
         trials["ensemble"] = str(options.ensemble.expanduser().resolve())
-    if not run_to_end(dg.reconstructable(safety_study), {"safety_trials": trials}, "`make safety-study`"):
+    folder = run_study("safety_study", {"safety_trials": trials}, "safety_study_report")
+    if folder is None:
         return 1
-    folder = latest_folder(root, "safety_study_report")
     figures = read_json(folder / "figures.json")
     _print_summary(folder, figures)
     if options.record:
-        _record(options, figures, folder)
+        _record(options, folder)
     return 0
 
 
@@ -84,28 +68,20 @@ def _film(root: pathlib.Path, trial: int) -> int:
     return 0
 
 
-def _record(options: argparse.Namespace, figures: dict[str, float], folder: pathlib.Path) -> None:
-    """Merge the figures into the record; copy the report beside it, with smaller images."""
-    from pipelines.commands.records import merge_part
-
-    destination: pathlib.Path = options.record
+def _record(options: argparse.Namespace, folder: pathlib.Path) -> None:
     study = read_json(folder / "study.json")
-    preset = os.environ.get(VARIABLE) or "default"
-    given = [] if preset == "default" else [f"{VARIABLE}={preset}"]
-    given += ["python -m pipelines.commands.safety_study"]
-    given += ["--scenes", *(folder.name for folder in options.scenes)] if options.scenes else []
+    given = ["--scenes", *(folder.name for folder in options.scenes)] if options.scenes else []
     given += ["--executions", str(options.executions)] if options.executions is not None else []
     given += ["--gamma", *(f"{value:g}" for value in options.gamma)] if options.gamma else []
-    merge_part(
-        destination,
+    record_study(
+        options.record,
         "safety_study",
-        figures,
-        command=" ".join(given),
+        folder,
         seeds={"situations": study["settings"]["seed"]},
+        options=given,
         ensemble=pathlib.Path(study["ensemble"]).name,
         settings=study["settings"],
     )
-    record_report(folder, destination.parent / "safety_study")
 
 
 def _print_summary(folder: pathlib.Path, figures: dict[str, float]) -> None:

@@ -37,7 +37,13 @@ def error_of(capsys, command, *options):
     return message
 
 
-@pytest.mark.parametrize("module", ["pipelines.commands.demo", "pipelines.commands.ui", "pipelines.tracking.registry"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        *(f"pipelines.commands.{name}" for name in ("demo", "ui", "perception_study", "planner_study")),
+        "pipelines.tracking.registry",
+    ],
+)
 def test_an_unknown_preset_is_one_sentence_without_a_traceback(tmp_path, module):
     environment = {**os.environ, "DELTASAFE_PRESET": "papre", "DELTASAFE_HOME": str(tmp_path / "home")}
     command = [sys.executable, "-m", module, *(["list"] if module.endswith("registry") else [])]

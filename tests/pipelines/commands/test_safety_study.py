@@ -87,8 +87,9 @@ def test_recording_keeps_the_figures_of_other_commands(tmp_path, monkeypatch):
     theirs = {"figures": {"tracking_coverage": 0.99}, "seeds": 1, "command": "tracking", "commit": "abc"}
     write_json(record, {"figures": theirs["figures"], "parts": {"tracking": {**theirs, "seeds": {"first": 1}}}})
     first = Options(record, executions=10, scenes=[pathlib.Path("a/scenes")], gamma=(0.0005, 0.04))
-    safety_study._record(argparse.Namespace(**dataclasses.asdict(first)), {"executions": 10.0, "gone": 1.0}, folder)
-    safety_study._record(argparse.Namespace(**dataclasses.asdict(Options(record))), {"executions": 20.0}, folder)
+    for options, figures in ((first, {"executions": 10.0, "gone": 1.0}), (Options(record), {"executions": 20.0})):
+        write_json(folder / "figures.json", figures)
+        safety_study._record(argparse.Namespace(**dataclasses.asdict(options)), folder)
     stored = read_json(record)
     assert stored["figures"] == {"tracking_coverage": 0.99, "executions": 20.0}
     assert stored["command"] == "python -m pipelines.commands.safety_study; tracking"
