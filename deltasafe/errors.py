@@ -1,6 +1,7 @@
 """Exceptions of this package. Each message names the object, the value and the remedy."""
 
 import pathlib
+from collections.abc import Sequence
 
 __all__ = [
     "ArtifactError",
@@ -13,6 +14,10 @@ __all__ = [
     "WorkerLostError",
     "WriteError",
 ]
+
+
+_MAX_LISTED = 50
+"""Defects that one message lists."""
 
 
 class DeltasafeError(Exception):
@@ -42,6 +47,15 @@ class _PathError(DeltasafeError):
 
 class DataError(_PathError, ValueError):
     """A file or folder that was given as input is unusable."""
+
+    @classmethod
+    def combined(cls, folder: str | pathlib.Path, errors: "Sequence[DataError]") -> "DataError":
+        """Combine the errors about files of ``folder`` into one that lists them; a single one is returned as it is."""
+        if len(errors) == 1:
+            return errors[0]
+        listed = [f"\n- {error}" for error in errors[:_MAX_LISTED]]
+        more = f"\n- and {len(errors) - _MAX_LISTED} more" if len(errors) > _MAX_LISTED else ""
+        return cls(folder, f"has {len(errors)} defects:{''.join(listed)}{more}")
 
 
 class ArtifactError(DataError):

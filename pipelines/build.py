@@ -1,5 +1,6 @@
 """Build Dagster's definitions for a home."""
 
+import functools
 import pathlib
 
 import dagster as dg
@@ -12,7 +13,9 @@ import assets.planner_study
 import assets.safety_study
 import assets.single_scene
 import assets.tracking_study
+from assets.interfaces import Store
 from pipelines import jobs
+from pipelines.automation.launch_check import launch_error
 from pipelines.automation.sensors import all_sensors
 from pipelines.commands.console import progress_console
 from pipelines.executors import ExecutorResource, ray_step_executor
@@ -69,6 +72,6 @@ def build_defs(root: pathlib.Path | None = None) -> dg.Definitions:
             "registry": RegistryResource(home=str(root)),
             "executor": ExecutorResource.from_environment(),
         },
-        executor=supervised(executor),
+        executor=supervised(executor, functools.partial(launch_error, store=Store(root, DATASETS))),
         loggers={"console": progress_console},
     )

@@ -1,16 +1,18 @@
-"""The executor of all runs: records the process of a run, and kills steps that ignore a termination request."""
+"""The executor of all runs: refuses a run before its first step, records its process, and kills steps that ignore a
+termination request."""
 
 import contextlib
 import os
 import platform
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import dagster as dg
 from dagster import DagsterEvent, Executor
 from dagster._core.events import EngineEventData
+from dagster._core.storage.tags import MAX_RETRIES_TAG
 
 from deltasafe.compute.processes import descendants, kill_with_descendants, parent_of, start_mark
 from pipelines.home import DATABASE_VARIABLE
@@ -65,10 +67,17 @@ def step_processes(instance: dg.DagsterInstance, run_id: str) -> set[int]:
     return {pid for entry in events if (pid := _pid_of_step(entry.dagster_event)) is not None}
 
 
-def supervised(executor: dg.ExecutorDefinition) -> dg.ExecutorDefinition:
+LaunchCheck = Callable[[Mapping[str, Any], Collection[str]], str]
+"""Run configuration and names of the steps -> why the run must not start; empty if it may."""
+
+
+def supervised(executor: dg.ExecutorDefinition, launch_check: LaunchCheck = lambda *_: "") -> dg.ExecutorDefinition:
     """Wrap an executor: its runs record their process, and termination takes seconds.
 
     If machines share a database, it also tags runs with the host name of the machine or container.
+
+    Args:
+        launch_check: called before the first step. A run that it refuses fails, and Dagster does not retry it.
     """
     create = executor.executor_creation_fn
     assert create is not None
@@ -76,14 +85,14 @@ def supervised(executor: dg.ExecutorDefinition) -> dg.ExecutorDefinition:
         name=executor.name,
         config_schema=cast(Any, executor.config_schema),
         requirements=executor.get_requirements,
-        executor_creation_fn=lambda context: _Supervised(create(context)),
+        executor_creation_fn=lambda context: _Supervised(create(context), launch_check),
         description=executor.description,
     )
 
 
 class _Supervised(Executor):
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
+    def __init__(self, executor: Executor, launch_check: LaunchCheck) -> None:
+        self._executor, self._launch_check = executor, launch_check
 
     def execute(
         self, plan_context: "PlanOrchestrationContext", execution_plan: "ExecutionPlan"
@@ -92,6 +101,7 @@ class _Supervised(Executor):
             plan_context.instance.add_run_tags(plan_context.run_id, {MACHINE_TAG: platform.node()})
         pid = os.getpid()
         yield DagsterEvent.engine_event(plan_context, f"The run is process {pid}", EngineEventData(_process(pid)))
+        self._refuse_or_start(plan_context, execution_plan)
         steps: set[int] = set()
         servers: set[int] = set()
         killer = threading.Timer(_PATIENCE_S, _kill, (plan_context, steps))
@@ -109,6 +119,13 @@ class _Supervised(Executor):
             for server in servers:  # otherwise it exits only after this process, and takes seconds
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(server, signal.SIGKILL)
+
+    def _refuse_or_start(self, plan_context: "PlanOrchestrationContext", execution_plan: "ExecutionPlan") -> None:
+        """Raise `dagster.Failure` if the launch check refuses the run."""
+        run = plan_context.dagster_run
+        if refused := self._launch_check(run.run_config, execution_plan.step_keys_to_execute):
+            plan_context.instance.add_run_tags(run.run_id, {MAX_RETRIES_TAG: "0"})
+            raise dg.Failure(refused, allow_retries=False)
 
     @property
     def retries(self) -> "RetryMode":

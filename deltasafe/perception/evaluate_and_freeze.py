@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.errors import DataError, SettingsError
+from deltasafe.errors import SettingsError
 from deltasafe.io.storage import read_json, write_json
 from deltasafe.perception.artifact.frozen_ensemble import write_frozen_ensemble
 from deltasafe.perception.calibration.evaluation import evaluate
@@ -69,10 +69,7 @@ def evaluate_ensemble(
     if len({member.ensemble_identity for member in members}) > 1:
         raise SettingsError("the members were trained with different settings or data; train all of them again")
     if calibration_images is not None:
-        try:
-            check_disjoint(calibration_images, test)
-        except DataError as error:
-            raise DataError(error.path, "is a calibration image as well; remove it from one of the two sets") from error
+        check_disjoint(calibration_images, test, "calibration")
     ensemble = Ensemble([member.network() for member in members], settings.inference, str(pick_device(device)))
     evaluated = _labeled_predictions(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
     calibration = None

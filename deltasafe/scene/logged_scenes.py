@@ -115,17 +115,24 @@ def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
     """Read the scenes of a folder, one per sub-folder that holds a ``scene.json``, in order of name.
 
     Raises:
-        DataError: there is no scene, two scenes have the same id, or a scene is invalid.
+        DataError: there is no scene, or two scenes have the same id; or lists the scenes that are invalid.
     """
-    folder = pathlib.Path(folder)
-    scenes = tuple(LoggedScene.load(path.parent) for path in sorted(folder.glob("*/scene.json")))
+    folder, defects = pathlib.Path(folder), []
+    scenes = []
+    for path in sorted(folder.glob("*/scene.json")):
+        try:
+            scenes.append(LoggedScene.load(path.parent))
+        except DataError as error:
+            defects.append(error)
+    if defects:
+        raise DataError.combined(folder, defects)
     if not scenes:
         raise DataError(folder, "holds no scene (a sub-folder with a scene.json); put one there")
     ids = [scene.id for scene in scenes]
     if len(set(ids)) < len(ids):
         twice = sorted({scene_id for scene_id in ids if ids.count(scene_id) > 1})
         raise DataError(folder, f"scene ids must be unique, these occur more than once: {twice}; rename one")
-    return scenes
+    return tuple(scenes)
 
 
 def _member(path: pathlib.Path, record: Any, name: str) -> Any:

@@ -16,7 +16,15 @@ from deltasafe.scene import FieldSettings, ImageStamp, LoggedScene, OccupancyGri
 if TYPE_CHECKING:
     from deltasafe.perception.inference.ensemble import Ensemble
 
-__all__ = ["load_image_stamp", "load_occupancy_grid", "load_p_occupied", "miss_rates_at_delta", "write_fields"]
+__all__ = [
+    "load_image_stamp",
+    "load_occupancy_grid",
+    "load_p_occupied",
+    "miss_rates_at_delta",
+    "read_scene_image",
+    "read_true_mask",
+    "write_fields",
+]
 
 
 def write_fields(
@@ -33,13 +41,7 @@ def write_fields(
     """
     with atomic_folder(folder) as temporary:
         for done, scene in enumerate(scenes, start=1):
-            rgb = read_rgb(scene.image_path)
-            if rgb.shape[:2] != (scene.camera.height, scene.camera.width):
-                raise DataError(
-                    scene.image_path,
-                    f"is {rgb.shape[1]} x {rgb.shape[0]} pixels, its camera has "
-                    f"{scene.camera.width} x {scene.camera.height}",
-                )
+            rgb = read_scene_image(scene)
             p_occupied = ensemble.p_occupied(rgb)
             (temporary / scene.id).mkdir()
             np.save(temporary / scene.id / "p_occupied.npy", p_occupied, allow_pickle=False)
@@ -47,6 +49,33 @@ def write_fields(
             grid.save(temporary / scene.id / "grid.npz")
             write_json(temporary / scene.id / "seen.json", ImageStamp.of(rgb))
             progress(done, len(scenes), f"predicted {scene.id}")
+
+
+def read_scene_image(scene: LoggedScene) -> NDArray[np.uint8]:
+    """Read the image of a scene, (H, W, 3) RGB.
+
+    Raises:
+        DataError: it is unreadable, or not of its camera's size.
+    """
+    rgb: NDArray[np.uint8] = read_rgb(scene.image_path)
+    if rgb.shape[:2] != (scene.camera.height, scene.camera.width):
+        raise DataError(
+            scene.image_path,
+            f"is {rgb.shape[1]} x {rgb.shape[0]} pixels, its camera has {scene.camera.width} x {scene.camera.height}",
+        )
+    return rgb
+
+
+def read_true_mask(scene: LoggedScene, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Read the true mask of a scene, (H, W) with 255 = hand. For evaluation only.
+
+    Raises:
+        DataError: it is unreadable, shows no hand, or has another ``shape`` than the image.
+    """
+    mask: NDArray[np.uint8] = read_mask(scene.mask_path)
+    if mask.shape != shape:
+        raise DataError(scene.mask_path, f"is {mask.shape}, the image {shape} pixels; restore it")
+    return mask
 
 
 def load_occupancy_grid(folder: pathlib.Path, scene_id: str) -> OccupancyGrid:
@@ -97,8 +126,7 @@ def miss_rates_at_delta(scenes: Sequence[LoggedScene], folder: pathlib.Path, del
     """
     rates = {}
     for scene in scenes:
-        mask, p_occupied = read_mask(scene.mask_path), load_p_occupied(folder, scene.id)
-        if mask.shape != p_occupied.shape:
-            raise DataError(scene.mask_path, f"is {mask.shape}, the image {p_occupied.shape} pixels; restore it")
+        p_occupied = load_p_occupied(folder, scene.id)
+        mask = read_true_mask(scene, p_occupied.shape)
         rates[scene.id] = float((p_occupied[mask > 0] <= delta).mean())
     return rates

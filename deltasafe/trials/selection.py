@@ -9,7 +9,7 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_folder, read_json, sha256_of_file, write_json
 from deltasafe.scene import LoggedScene, load_scenes
 
-__all__ = ["load_selection", "select_scene", "select_scenes"]
+__all__ = ["chosen_scenes", "load_selection", "select_scene", "select_scenes"]
 
 
 def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> tuple[LoggedScene, ...]:
@@ -21,12 +21,21 @@ def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> 
         DataError: a scene is defective, or there is none.
         SettingsError: ``n_scenes`` is negative or more than there are.
     """
+    chosen = chosen_scenes(source, n_scenes)
+    _write(chosen, folder)
+    return chosen
+
+
+def chosen_scenes(source: pathlib.Path, n_scenes: int) -> tuple[LoggedScene, ...]:
+    """Check the scenes below ``source``, and return the first ``n_scenes`` (0: all).
+
+    Raises:
+        DataError, SettingsError: see `select_scenes`.
+    """
     scenes = load_scenes(source)
     if not 0 <= n_scenes <= len(scenes):
         raise SettingsError(f"n_scenes must lie between 0 (all) and {len(scenes)}, got {n_scenes}")
-    chosen = scenes[: n_scenes or None]
-    _write(chosen, folder)
-    return tuple(chosen)
+    return scenes[: n_scenes or None]
 
 
 def select_scene(source: pathlib.Path, folder: pathlib.Path) -> LoggedScene:

@@ -1,18 +1,25 @@
-"""Validate the settings of a whole run before its first step, so that a run does not fail after hours of work.
+"""Validate settings and inputs of a whole run before its first step, so that a run does not fail after hours of work.
 
-The launchpad checks names and types; the settings classes of the library check values.
+The launchpad checks names and types; the settings classes of the library check values, and its readers the files.
 """
 
-from collections.abc import Iterator, Mapping
+import dataclasses
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import dagster as dg
 
 from assets.config import SettingsConfig
+from assets.interfaces import Store
 from assets.run_settings import conflicting_deltas
 from deltasafe.errors import SettingsError
 
-__all__ = ["wrong_settings"]
+__all__ = ["defective_inputs", "launch_error", "wrong_settings"]
+
+
+def launch_error(run_config: Mapping[str, Any], steps: Collection[str], store: Store) -> str:
+    """Return why a run of ``steps`` must not start, with all errors; empty if it may."""
+    return wrong_settings(run_config) or defective_inputs(run_config, steps, store)
 
 
 def wrong_settings(run_config: Mapping[str, Any]) -> str:
@@ -23,6 +30,42 @@ def wrong_settings(run_config: Mapping[str, Any]) -> str:
             errors += [f"{step}: {error}" for error in _errors(classes[step](**given["config"]))]
     errors += filter(None, [conflicting_deltas(run_config)])
     return f"nothing was run, since settings are wrong: {'; '.join(errors)}" if errors else ""
+
+
+def defective_inputs(run_config: Mapping[str, Any], steps: Collection[str], store: Store) -> str:
+    """Read every folder that ``steps`` of a run read; return one message with all defects, or an empty string.
+
+    Args:
+        run_config: its settings must be valid.
+        steps: names of the steps of the run.
+        store: finds the packaged inputs.
+    """
+    from deltasafe.trials.run_inputs import InputFolder, RunInputs
+
+    classes = _config_classes()
+
+    def config(step: str) -> Any:
+        return classes[step](**run_config.get("ops", {}).get(step, {}).get("config", {}))
+
+    def folder(step: str, field: str, packaged: str = "") -> InputFolder | None:
+        if step not in steps or not ((chosen := getattr(config(step), field)) or packaged):
+            return None
+        return InputFolder(*store.dataset(chosen, packaged))
+
+    inputs = RunInputs(
+        training=folder("raw_hands", "folder", "hands/train"),
+        test=folder("test_hands", "folder", "hands/test"),
+        calibration=folder("calibration_report", "calibration_folder"),
+        backgrounds=folder("augmented_hands", "backgrounds", "backgrounds"),
+        scenes=folder("logged_scenes", "folder", "scenes"),
+    )
+    if inputs.scenes is not None:
+        inputs = dataclasses.replace(inputs, n_scenes=config("logged_scenes").n_scenes)
+    if "calibration_report" in steps:
+        inputs = dataclasses.replace(inputs, evaluation=config("calibration_report").calibration.settings())
+    defects = inputs.defects()
+    listed = "".join(f"\n{defect}" for defect in defects)
+    return f"nothing was run, since inputs are defective:{listed}" if defects else ""
 
 
 def _errors(config: dg.Config) -> Iterator[str]:

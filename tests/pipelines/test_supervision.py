@@ -10,6 +10,8 @@ import time
 
 import dagster as dg
 import pytest
+from dagster._core.events import RunFailureReason
+from dagster._core.execution.retries import auto_reexecution_should_retry_run
 
 from deltasafe.compute.processes import descendants, is_running, start_mark
 from pipelines.automation.lost_runs import end_leftover_processes, fail_lost_runs
@@ -163,3 +165,23 @@ def test_another_uptime_in_a_container_fails_no_run(tmp_path, instance):
         ["unshare", "-m", "sh", "-c", script], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout
     assert stdout == f"{[gone]}\n"
+
+
+def refused():
+    @dg.job(executor_def=supervised(dg.in_process_executor, lambda config, steps: f"{sorted(steps)} are refused"))
+    def work():
+        nothing()
+
+    return work
+
+
+def test_a_refused_run_starts_no_step_and_is_not_retried(instance):
+    tags = {"dagster/max_retries": "2"}
+    with dg.execute_job(dg.reconstructable(refused), instance=instance, tags=tags) as result:
+        run = instance.get_run_by_id(result.run_id)
+    assert run.status == FAILED
+    assert not auto_reexecution_should_retry_run(instance, run, RunFailureReason.RUN_EXCEPTION)
+    events = [entry.dagster_event for entry in instance.all_logs(run.run_id) if entry.dagster_event]
+    assert not [event for event in events if event.is_step_event]
+    (failure,) = [event for event in events if event.is_job_failure]
+    assert "['nothing'] are refused" in failure.job_failure_data.error.message

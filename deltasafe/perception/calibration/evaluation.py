@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.accumulators import (
     EnsembleAccumulator,
     FitAccumulator,
@@ -76,8 +75,7 @@ def evaluate(
     """
     settings = settings or CalibrationSettings()
     n_fitted = len(calibration or images)
-    if 1 < n_fitted < settings.n_folds:
-        raise SettingsError(f"n_folds is {settings.n_folds}, but there are {n_fitted} images")
+    settings.require_images(n_fitted)
     done, total = itertools.count(1), 2 * (len(images) + len(calibration or ()))  # every image is read twice
     run = _Evaluation(images, calibration, settings, lambda message: progress(next(done), total, message))
     members, smaller, whole, test_fit = run.score()

@@ -72,6 +72,18 @@ class CalibrationSettings:
         if self.n_folds < 0 or self.n_folds == 1:
             raise SettingsError(f"n_folds must be 0 (leave one out) or at least 2, got {self.n_folds}")
 
+    def require_images(self, n_images: int) -> None:
+        """Check that there is an image for each fold; a single image is not fitted on.
+
+        Raises:
+            SettingsError: there are fewer images than folds.
+        """
+        if 1 < n_images < self.n_folds:
+            raise SettingsError(
+                f"n_folds is {self.n_folds}, but there are {n_images} images; "
+                f"set calibration.n_folds to {n_images}, or to 0 (leave one out)"
+            )
+
 
 @dataclasses.dataclass(frozen=True)
 class PredictorResult:

@@ -5,6 +5,7 @@ import hashlib
 import io
 import pathlib
 import warnings
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -13,7 +14,15 @@ from PIL import Image
 from deltasafe.errors import DataError
 from deltasafe.io.storage import digest_of, sha256_of_file
 
-__all__ = ["LabeledImageSet", "check_disjoint", "read_mask", "read_registry", "read_rgb", "resize_labeled"]
+__all__ = [
+    "LabeledImageSet",
+    "check_disjoint",
+    "read_mask",
+    "read_or_none",
+    "read_registry",
+    "read_rgb",
+    "resize_labeled",
+]
 
 _EXIF_ORIENTATION = 0x0112
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -57,23 +66,30 @@ class LabeledImageSet:
                 Every file of the set is compared with it.
 
         Raises:
-            DataError: names the first defective file, the defect and the remedy.
+            DataError: lists every defective file with the defect and the remedy.
         """
-        folder = pathlib.Path(folder)
-        images, masks = _files_by_stem(folder / "images"), _files_by_stem(folder / "masks")
-        for stem in sorted(images.keys() ^ masks.keys()):
+        folder, defects = pathlib.Path(folder), list[DataError]()
+        if not folder.is_dir():
+            raise DataError(folder, "is not a folder; give one that holds images/ and masks/")
+        images, masks = (_files_by_stem(folder / part, defects) for part in ("images", "masks"))
+        for stem in sorted(images.keys() ^ masks.keys()) if images and masks else ():
             path, other = (images[stem], "masks") if stem in images else (masks[stem], "images")
-            raise DataError(path, f"has no counterpart in {other}/; give both files the same stem, or remove it")
-        if not images:
-            raise DataError(folder, "holds no images; put them into images/ and their masks into masks/")
-        items = tuple(LabeledImage(stem, images[stem], masks[stem]) for stem in sorted(images))
+            defects.append(
+                DataError(path, f"has no counterpart in {other}/; give both files the same stem, or remove it")
+            )
+        items = tuple(LabeledImage(stem, images[stem], masks[stem]) for stem in sorted(images.keys() & masks.keys()))
+        if not items and not defects:
+            defects.append(DataError(folder, "holds no images; put them into images/ and their masks into masks/"))
         if registry is not None:
-            _check_registered(items, pathlib.Path(registry))
+            defects += _unregistered(items, pathlib.Path(registry))
         pixel_digests, contents = [], []
         for item in items:
-            rgb, mask = _read(item)
-            pixel_digests.append(_pixel_digest(rgb))
-            contents.append((item.id, pixel_digests[-1], _pixel_digest(mask)))
+            rgb, mask = _read_pair(item, defects)
+            if rgb is not None and mask is not None:
+                pixel_digests.append(_pixel_digest(rgb))
+                contents.append((item.id, pixel_digests[-1], _pixel_digest(mask)))
+        if defects:
+            raise DataError.combined(folder, defects)
         return cls(folder.name, items, tuple(pixel_digests), digest_of(contents))
 
     def __len__(self) -> int:
@@ -88,20 +104,29 @@ class LabeledImageSet:
         return _read(self.items[i])
 
 
-def check_disjoint(train: LabeledImageSet, test: LabeledImageSet) -> None:
-    """Check that no image of the test set occurs in the training set, under any name.
+def check_disjoint(train: LabeledImageSet, test: LabeledImageSet, role: str = "training") -> None:
+    """Check that no image of the test set occurs in another set, under any name.
+
+    Args:
+        train: the other set.
+        test: the test set.
+        role: of ``train``, for the message.
 
     Raises:
-        DataError: names the image of ``test`` whose decoded pixels also occur in ``train``.
+        DataError: lists the images of ``test`` whose decoded pixels also occur in ``train``.
     """
-    train_items = dict(zip(train.pixel_digests, train.items, strict=True))
-    for digest, item in zip(test.pixel_digests, test.items, strict=True):
-        if digest in train_items:
-            raise DataError(
-                item.image,
-                f"has the same pixels as {train_items[digest].image} of the training set; remove it from one of the "
-                "two sets, because it makes all results on the test set too optimistic",
-            )
+    known = dict(zip(train.pixel_digests, train.items, strict=True))
+    defects = [
+        DataError(
+            item.image,
+            f"has the same pixels as {known[digest].image} of the {role} set; remove it from one of the two sets, "
+            "because it makes all results on the test set too optimistic",
+        )
+        for digest, item in zip(test.pixel_digests, test.items, strict=True)
+        if digest in known
+    ]
+    if defects:
+        raise DataError.combined(test.items[0].image.parents[1], defects)
 
 
 def read_rgb(path: str | pathlib.Path) -> np.ndarray:
@@ -136,6 +161,17 @@ def read_mask(path: str | pathlib.Path) -> np.ndarray:
     return mask
 
 
+def read_or_none(
+    read: Callable[[pathlib.Path], np.ndarray], path: pathlib.Path, defects: list[DataError]
+) -> np.ndarray | None:
+    """Return ``read(path)``; if the file is defective, append the error to ``defects`` and return None."""
+    try:
+        return read(path)
+    except DataError as error:
+        defects.append(error)
+        return None
+
+
 def resize_labeled(
     rgb: np.ndarray, mask: np.ndarray, size: tuple[int, int], interpolation: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -166,33 +202,43 @@ def read_registry(path: str | pathlib.Path) -> dict[str, str]:
     return registry
 
 
-def _files_by_stem(folder: pathlib.Path) -> dict[str, pathlib.Path]:
-    if not folder.is_dir():
-        raise DataError(folder, "is not a folder; make it, a set consists of images/ and masks/")
+def _files_by_stem(folder: pathlib.Path, defects: list[DataError]) -> dict[str, pathlib.Path]:
+    """Return the images of a folder by stem, and append the defects to ``defects``."""
     files: dict[str, pathlib.Path] = {}
+    if not folder.is_dir():
+        defects.append(DataError(folder, "is not a folder; make it, a set consists of images/ and masks/"))
+        return files
     for path in sorted(folder.iterdir()):
         if path.name.startswith("."):
             continue
         if path.suffix.lower() not in IMAGE_SUFFIXES:
-            raise DataError(path, f"is not an image ({', '.join(IMAGE_SUFFIXES)}); remove or convert it")
-        if not path.is_file():
-            raise DataError(path, "is not a file; remove it, subfolders are not read")
-        if path.stem in files:
-            raise DataError(path, f"has the same stem as {files[path.stem].name}; rename or remove one of the two")
-        files[path.stem] = path
+            defect = f"is not an image ({', '.join(IMAGE_SUFFIXES)}); remove or convert it"
+        elif not path.is_file():
+            defect = "is not a file; remove it, subfolders are not read"
+        elif path.stem in files:
+            defect = f"has the same stem as {files[path.stem].name}; rename or remove one of the two"
+        else:
+            files[path.stem] = path
+            continue
+        defects.append(DataError(path, defect))
     return files
 
 
 def _read(item: LabeledImage) -> tuple[np.ndarray, np.ndarray]:
-    rgb = read_rgb(item.image)
-    mask = read_mask(item.mask)
-    if mask.shape != rgb.shape[:2]:
-        raise DataError(
-            item.mask,
-            f"is {mask.shape[1]} x {mask.shape[0]} but its image is {rgb.shape[1]} x {rgb.shape[0]}; "
-            "export both at the same size",
-        )
-    return rgb, mask // 255
+    defects: list[DataError] = []
+    rgb, mask = _read_pair(item, defects)
+    if rgb is None or mask is None or defects:
+        raise DataError.combined(item.image, defects)
+    return rgb, mask
+
+
+def _read_pair(item: LabeledImage, defects: list[DataError]) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Read image and mask (1 = hand); a defective one is None, and its defect is appended to ``defects``."""
+    rgb, mask = (read_or_none(*reading, defects) for reading in ((read_rgb, item.image), (read_mask, item.mask)))
+    if rgb is not None and mask is not None and mask.shape != rgb.shape[:2]:
+        sizes = f"is {mask.shape[1]} x {mask.shape[0]} but its image is {rgb.shape[1]} x {rgb.shape[0]}"
+        defects.append(DataError(item.mask, f"{sizes}; export both at the same size"))
+    return rgb, None if mask is None else mask // 255
 
 
 def _channels(image: np.ndarray) -> str:
@@ -242,17 +288,19 @@ def _check_image(path: pathlib.Path, data: bytes) -> None:
         )
 
 
-def _check_registered(items: tuple[LabeledImage, ...], registry: pathlib.Path) -> None:
-    digests, root = read_registry(registry), registry.resolve().parent
+def _unregistered(items: tuple[LabeledImage, ...], registry: pathlib.Path) -> list[DataError]:
+    """List the files whose digest is missing in the registry, or is another one."""
+    digests, root, defects = read_registry(registry), registry.resolve().parent, []
     for path in (path for item in items for path in (item.image, item.mask)):
         resolved = path.resolve()
         name = resolved.relative_to(root).as_posix() if resolved.is_relative_to(root) else ""
         if name not in digests:
-            raise DataError(path, f"is not registered in {registry}; the packaged sets are immutable, remove it")
-        if (found := sha256_of_file(path)) != digests[name]:
-            raise DataError(
-                path, f"has SHA-256 {found[:12]}..., registered is {digests[name][:12]}...; restore the original file"
-            )
+            reason = f"is not registered in {registry}; the packaged sets are immutable, remove it"
+            defects.append(DataError(path, reason))
+        elif (found := sha256_of_file(path)) != digests[name]:
+            reason = f"has SHA-256 {found[:12]}..., registered is {digests[name][:12]}...; restore the original file"
+            defects.append(DataError(path, reason))
+    return defects
 
 
 def _pixel_digest(pixels: np.ndarray) -> str:

@@ -10,7 +10,7 @@ from deltasafe.errors import DataError
 from deltasafe.io.storage import digest_of, sha256_of_file
 from deltasafe.perception.data.augmentation.clutter import add_clutter
 from deltasafe.perception.data.augmentation.textures import light_gradient, random_surface, smooth_noise
-from deltasafe.perception.data.labeled_images import IMAGE_SUFFIXES, read_rgb
+from deltasafe.perception.data.labeled_images import IMAGE_SUFFIXES, read_or_none, read_rgb
 
 __all__ = ["Backgrounds", "draw_background"]
 
@@ -39,7 +39,7 @@ class Backgrounds:
         """Read all images of ``folder`` (RGB, JPEG or PNG); None gives no photographs.
 
         Raises:
-            DataError: the folder is missing or holds no image, or a file is not an RGB image.
+            DataError: the folder is missing or holds no image; or lists the files that are not RGB images.
         """
         if folder is None:
             return cls()
@@ -49,7 +49,10 @@ class Backgrounds:
         paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         if not paths:
             raise DataError(folder, f"holds no image ({', '.join(IMAGE_SUFFIXES)}); add some")
-        images = tuple(read_rgb(path) for path in paths)
+        defects: list[DataError] = []
+        images = tuple(image for path in paths if (image := read_or_none(read_rgb, path, defects)) is not None)
+        if defects:
+            raise DataError.combined(folder, defects)
         digest = digest_of([(path.name, sha256_of_file(path)) for path in paths])
         return cls(tuple(path.name for path in paths), images, digest)
 
