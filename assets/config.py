@@ -9,8 +9,6 @@ from typing import Any, Generic, TypeVar
 import dagster as dg
 import pydantic
 
-__all__ = ["SettingsConfig", "configurable"]
-
 S = TypeVar("S")
 
 # an entry of the section "Attributes:" of a docstring, and its continuation lines

@@ -7,8 +7,6 @@ from typing import Protocol
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["Registry", "Store", "Tracker", "TrainedMember"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Store:

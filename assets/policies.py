@@ -9,8 +9,6 @@ import dagster as dg
 from assets.interfaces import Store
 from deltasafe.errors import DeltasafeError, LockedError, WorkerLostError
 
-__all__ = ["ALL_CORES", "ON_NEW_ASSET", "ON_NEW_DATA", "RETRY_TWICE", "no_retry"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

@@ -6,8 +6,6 @@ import dagster as dg
 
 from deltasafe.compute.progress import Progress
 
-__all__ = ["progress_of"]
-
 
 def progress_of(context: dg.AssetExecutionContext, every_s: float = 10.0) -> Progress:
     """Create a progress callback that logs the first and the last report, and others every ``every_s`` seconds."""

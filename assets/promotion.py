@@ -7,8 +7,6 @@ import dagster as dg
 if TYPE_CHECKING:
     from deltasafe.perception.artifact.promotion import PromotionDecision
 
-__all__ = ["NOT_WORSE", "not_worse", "verdict_table"]
-
 NOT_WORSE = dg.AssetCheckSpec(
     "new_ensemble_is_not_worse",
     asset="champion",

@@ -11,18 +11,6 @@ from typing import Any, TypeAlias
 
 import dagster as dg
 
-__all__ = [
-    "Metadata",
-    "folder_facts",
-    "inline_jpeg",
-    "inline_picture",
-    "inline_report",
-    "page_link",
-    "readable",
-    "report_with_summary",
-    "summary_of",
-]
-
 Metadata: TypeAlias = dict[str, Any]
 
 PAGE_BYTES = 95_000

@@ -5,8 +5,6 @@ from typing import Any
 
 from deltasafe import presets
 
-__all__ = ["conflicting_deltas", "planning_delta"]
-
 _PRESET = presets.active()
 _SOURCES = {
     "planned_motions": ("motion", "delta"),

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from deltasafe.perception.training.member import Member
     from deltasafe.perception.training.train_member import StepReport
 
-__all__ = ["Training"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Training:

@@ -6,8 +6,6 @@ import sys
 
 from deltasafe.errors import DataError, DeltasafeError
 
-__all__ = ["main"]
-
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; return 0, or 1 with one line on standard error if an input is unusable."""

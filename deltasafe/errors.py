@@ -3,19 +3,6 @@
 import pathlib
 from collections.abc import Sequence
 
-__all__ = [
-    "ArtifactError",
-    "DataError",
-    "DeltasafeError",
-    "LockedError",
-    "PlanningError",
-    "SettingsError",
-    "StaleImageError",
-    "WorkerLostError",
-    "WriteError",
-]
-
-
 _MAX_LISTED = 50
 """Defects that one message lists."""
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["Pose", "PosePath", "Trajectory", "as_rows", "wrap_to_pi", "yaw_of"]
-
 Array = NDArray[np.float64]
 
 MAX_COORDINATE = 1000.0

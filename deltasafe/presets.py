@@ -4,7 +4,7 @@ import dataclasses
 import os
 
 from deltasafe.errors import SettingsError
-from deltasafe.execution.simulate import ExecutionSettings
+from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.perception.calibration.report import CalibrationSettings, GateThresholds
 from deltasafe.perception.data.augmentation.settings import AugmentationSettings
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings, PromotionSettings, TrainingSettings
@@ -14,8 +14,6 @@ from deltasafe.studies.perception import StudySettings
 from deltasafe.studies.planner.settings import ComparisonSettings, TimingSettings
 from deltasafe.studies.safety.settings import SafetyStudySettings
 from deltasafe.studies.tracking.settings import TrackingStudySettings
-
-__all__ = ["PRESETS", "VARIABLE", "Preset", "active"]
 
 VARIABLE = "DELTASAFE_PRESET"
 """Environment variable that names the active preset."""

@@ -23,8 +23,6 @@ from deltasafe.errors import SettingsError
 from evidence.reporting import command_parser, finish
 from pipelines.home import PROJECT
 
-__all__ = ["PACKAGES", "Function", "cycles", "docs_warnings", "functions", "import_cycles", "python_files"]
-
 PACKAGES = ("deltasafe", "assets", "pipelines", "generator", "evidence")
 ROOMS = ("deltasafe", "deltasafe.perception", "deltasafe.planning", "deltasafe.studies")
 

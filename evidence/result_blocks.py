@@ -17,8 +17,6 @@ from deltasafe.io.storage import read_json
 from deltasafe.reporting.templates import render
 from deltasafe.studies.intervals import clopper_pearson
 
-__all__ = ["fill_blocks", "filled_pages", "read_records"]
-
 Records = Mapping[str, dict[str, Any]]
 
 _BLOCK = re.compile(r"(<!-- results:(\w+)(?: (\w+))? -->\n)(.*?)(<!-- /results -->)", re.DOTALL)

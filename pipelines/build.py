@@ -24,8 +24,6 @@ from pipelines.resources import RegistryResource, StoreResource, TrackerResource
 from pipelines.storage.io_manager import FolderPointers
 from pipelines.supervision import supervised
 
-__all__ = ["build_defs"]
-
 # imported once, by the server process that forks the steps
 _PRELOADED = ["pipelines.build", "torch"]
 

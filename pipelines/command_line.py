@@ -7,8 +7,6 @@ from collections.abc import Callable
 
 from deltasafe.errors import DeltasafeError
 
-__all__ = ["run_command"]
-
 
 def run_command(main: Callable[[], int]) -> int:
     """Call ``main`` and return its exit status; print expected errors and return 1."""

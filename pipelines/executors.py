@@ -22,8 +22,6 @@ from deltasafe.compute.ray_executor import RayExecutor, RaySettings
 from deltasafe.errors import SettingsError
 from pipelines.home import DATABASE_VARIABLE, PROJECT
 
-__all__ = ["ADDRESS", "CPUS", "EXECUTOR", "GPUS", "STEPS", "ExecutorResource", "ray_step_executor"]
-
 EXECUTOR, ADDRESS = "DELTASAFE_EXECUTOR", "DELTASAFE_RAY_ADDRESS"
 STEPS = "DELTASAFE_STEPS"
 GPUS, CPUS = "DELTASAFE_GPUS_PER_MEMBER", "DELTASAFE_CPUS_PER_MEMBER"

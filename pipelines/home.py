@@ -14,18 +14,6 @@ from deltasafe.io.storage import atomic_file
 from deltasafe.io.write_errors import translated_write_errors
 from deltasafe.presets import VARIABLE, active
 
-__all__ = [
-    "DATABASE_VARIABLE",
-    "DATASETS",
-    "PROJECT",
-    "TRACKING_VARIABLE",
-    "home",
-    "mlflow_ui",
-    "prepare_home",
-    "run_page",
-    "tracking_uri",
-]
-
 TRACKING_VARIABLE = "MLFLOW_TRACKING_URI"
 DATABASE_VARIABLE = "DELTASAFE_DATABASE"
 _DAGSTER_UI, _MLFLOW_UI = "DELTASAFE_DAGSTER_UI", "DELTASAFE_MLFLOW_UI"

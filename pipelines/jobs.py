@@ -9,22 +9,6 @@ from assets.perception_study import cells
 from pipelines.home import home
 from pipelines.watched_folders import watched_hands
 
-__all__ = [
-    "ALL_CELLS",
-    "ALL_MEMBERS",
-    "UNATTENDED",
-    "UNATTENDED_VARIABLE",
-    "everything",
-    "perception",
-    "perception_study",
-    "planner_study",
-    "planning",
-    "retraining",
-    "safety_study",
-    "single_scene",
-    "tracking_study",
-]
-
 
 def _all_partitions(partitions: dg.StaticPartitionsDefinition) -> dict[str, str]:
     """Return tags with which one run makes every partition. Assets without partitions ignore them."""

@@ -12,8 +12,6 @@ from pipelines.storage.artifact_store import artifact_store
 from pipelines.tracking.registry import EnsembleRegistry
 from pipelines.tracking.tracker import MlflowTracker
 
-__all__ = ["RegistryResource", "StoreResource", "TrackerResource"]
-
 
 class StoreResource(dg.ConfigurableResource[Store]):
     """Folders of inputs and results. Every step uses it, so it also validates the settings of the run (`refused`)."""

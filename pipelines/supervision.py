@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from dagster._core.execution.retries import RetryMode
     from dagster._core.execution.step_dependency_config import StepDependencyConfig
 
-__all__ = ["MACHINE_TAG", "RunProcess", "process_of", "step_processes", "supervised"]
-
 MACHINE_TAG = "deltasafe/machine"
 """Tag of a run with the host name of its machine, if machines share a database."""
 _PATIENCE_S = 6.0

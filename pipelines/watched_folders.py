@@ -7,16 +7,6 @@ import pathlib
 
 from deltasafe.io.storage import digest_of, sha256_of_file
 
-__all__ = [
-    "HANDS_VARIABLE",
-    "SCENES_VARIABLE",
-    "WatchCursor",
-    "digest_of_folder",
-    "watched_hands",
-    "watched_scenes",
-]
-
-
 HANDS_VARIABLE = "DELTASAFE_WATCHED_HANDS"
 SCENES_VARIABLE = "DELTASAFE_WATCHED_SCENES"
 

@@ -15,8 +15,6 @@ from deltasafe.cameras.model import HALF_PIXEL, MODELS, CameraModel
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import read_json, write_json
 
-__all__ = ["ImageKind", "camera_from_intrinsics", "read_camera", "write_camera"]
-
 ImageKind = Literal["raw", "rectified"]
 Array = NDArray[np.float64]
 

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
 
-__all__ = ["integer_of", "numbers_of", "parse_calibration"]
-
 Array = NDArray[np.float64]
 
 MAX_BYTES = 4_000_000

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.scene import Camera
 
-__all__ = ["HALF_PIXEL", "MODELS", "CameraModel"]
-
 Array = NDArray[np.float64]
 
 HALF_PIXEL = 0.5

@@ -12,8 +12,6 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-__all__ = ["digest_of_code", "digest_of_importers", "digest_of_package", "modules_behind"]
-
 _SOURCES = pathlib.Path(__file__).parents[2]
 _PACKAGE = "deltasafe"
 

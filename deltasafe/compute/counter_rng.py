@@ -6,8 +6,6 @@ import numpy as np
 
 from deltasafe.compute.numba_cache import kernel
 
-__all__ = ["normal_pair", "segment_key", "splitmix64", "uniform"]
-
 
 @kernel
 def splitmix64(key, counter):  # type: ignore[no-untyped-def]

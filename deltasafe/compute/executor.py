@@ -12,8 +12,6 @@ from typing import Any, Protocol
 from deltasafe.compute.workers import ERROR, LOST, REPORT, RESULT, Workers
 from deltasafe.errors import SettingsError, WorkerLostError
 
-__all__ = ["LOCAL", "RETRIES", "Executor", "LocalExecutor", "Needs", "Task", "worker_lost_error"]
-
 RETRIES = 2
 """How often a task is retried after its worker process was lost (killed, out of memory, machine failure)."""
 

@@ -6,8 +6,6 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-__all__ = ["interrupts_delayed", "sigint_blocked"]
-
 
 @contextlib.contextmanager
 def interrupts_delayed() -> Iterator[None]:

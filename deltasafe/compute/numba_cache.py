@@ -10,8 +10,6 @@ from numba.core import caching
 
 from deltasafe.compute.code_digest import digest_of_importers
 
-__all__ = ["compiled", "inlined", "kernel"]
-
 
 class _Index(caching.IndexDataCacheFile):
     """Cache index that counts as empty if it names types that this process cannot import.

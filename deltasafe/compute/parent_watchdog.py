@@ -5,8 +5,6 @@ import multiprocessing.connection
 import os
 import threading
 
-__all__ = ["end_with_parent"]
-
 _THREAD = "parent-watchdog"
 
 

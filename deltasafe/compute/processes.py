@@ -12,16 +12,6 @@ import signal
 import subprocess
 import time
 
-__all__ = [
-    "descendants",
-    "is_running",
-    "kill_with_descendants",
-    "parent_of",
-    "start_mark",
-    "start_ticks",
-    "stop_session",
-]
-
 _PARENT, _GROUP, _START = 1, 2, 19
 """Positions in /proc/PID/stat, counted from the process state (proc(5))."""
 

@@ -16,8 +16,6 @@ from typing import Any
 from deltasafe.compute.executor import RETRIES, Needs, Task, worker_lost_error
 from deltasafe.errors import SettingsError
 
-__all__ = ["RayExecutor", "RaySettings"]
-
 _log = logging.getLogger(__name__)
 _ADDRESS = re.compile(r"(ray://)?[\w.-]+:\d{1,5}")
 _POLL_S = 0.5

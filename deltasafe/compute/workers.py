@@ -19,8 +19,6 @@ from typing import Any
 from deltasafe.compute.interrupts import interrupts_delayed, sigint_blocked
 from deltasafe.compute.parent_watchdog import end_with_parent
 
-__all__ = ["ERROR", "LOST", "REPORT", "RESULT", "Worker", "Workers"]
-
 REPORT, RESULT, ERROR, LOST = "report", "result", "error", "lost"
 """Kinds of messages from a worker. ``LOST``: its process ended before its task did."""
 _GRACE_S = 2.0

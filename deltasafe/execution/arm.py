@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from deltasafe.execution.kinematics import JointLimits
 from deltasafe.geometry import MAX_COORDINATE
 
-__all__ = ["Arm", "ArmState", "Dynamics", "measurement_fault"]
-
 Array = NDArray[np.float64]
 
 _UNIT_TOLERANCE = 1e-3

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from deltasafe.errors import SettingsError, StaleImageError
 from deltasafe.scene.image_stamp import ImageStamp
 
-__all__ = ["CameraWatch"]
-
 _MAX_AHEAD_S = 0.05
 """Tolerated lead of an image's stamp over the clock: synchronized clocks differ by milliseconds, others by years.
 

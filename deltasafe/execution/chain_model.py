@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["ChainModel"]
-
 Array = NDArray[np.float64]
 _Body: TypeAlias = tuple[float, Array, Array]
 """Mass in kg, center of mass (3,) in m and inertia (3, 3) about it, in the frame of the link."""

@@ -17,8 +17,6 @@ from deltasafe.errors import SettingsError
 from deltasafe.geometry import as_rows
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["MeshDistance"]
-
 Array = NDArray[np.float64]
 
 _MAX_PROJECTIONS = 400

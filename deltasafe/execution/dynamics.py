@@ -12,8 +12,6 @@ import numpy as np
 from deltasafe.compute.numba_cache import compiled
 from deltasafe.execution.arm import Dynamics
 
-__all__ = ["forward_kinematics", "rigid_body_dynamics"]
-
 
 @compiled
 def forward_kinematics(model, q):  # type: ignore[no-untyped-def]  # pragma: no cover

@@ -12,8 +12,6 @@ from deltasafe.execution.workcell import Mesh, Workcell
 from deltasafe.io.storage import atomic_file
 from deltasafe.scene.camera import Camera
 
-__all__ = ["save_film"]
-
 Array = NDArray[np.float64]
 
 _EYE_M, _TARGET_M = (0.50, -0.52, 0.42), (0.0, 0.08, 0.20)

@@ -26,8 +26,6 @@ from deltasafe.execution.iiwa_urdf import iiwa_with_tool
 from deltasafe.execution.kinematics import ArmMount
 from deltasafe.execution.workcell import Mesh, Workcell
 
-__all__ = ["JOINTS", "TOOL_LINK", "World"]
-
 Array = NDArray[np.float64]
 
 JOINTS = tuple(range(7))

@@ -18,8 +18,6 @@ from deltasafe.execution.iiwa import JOINTS, World
 from deltasafe.execution.kinematics import IIWA14_LIMITS, ArmMount, IiwaKinematics, JointLimits
 from deltasafe.execution.workcell import Workcell
 
-__all__ = ["IiwaArm", "JointFriction"]
-
 Array = NDArray[np.float64]
 
 

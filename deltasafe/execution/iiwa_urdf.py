@@ -9,8 +9,6 @@ import numpy as np
 from deltasafe.execution.kinematics import IIWA14_LIMITS
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["iiwa_with_tool"]
-
 FLANGE_IN_LINK_7_M = 0.045
 TOOL_DENSITY_KGPM3 = 1200.0  # printed plastic
 TOOL_RGBA = (0.05, 0.50, 0.42, 1.0)

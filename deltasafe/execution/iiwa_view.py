@@ -11,8 +11,6 @@ from deltasafe.execution.kinematics import ArmMount
 from deltasafe.execution.workcell import Workcell
 from deltasafe.scene.camera import Camera
 
-__all__ = ["ArmView", "Viewpoint"]
-
 Array = NDArray[np.float64]
 
 _NEAR_M, _FAR_M = 0.01, 5.0

@@ -18,8 +18,6 @@ from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.execution.arm import ArmState, Dynamics
 
-__all__ = ["ImpedanceSettings", "TaskReference", "impedance_torques", "pose_error"]
-
 Array = NDArray[np.float64]
 
 

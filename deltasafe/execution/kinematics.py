@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.geometry import as_rows
 
-__all__ = ["IIWA14_LIMITS", "ArmMount", "IiwaKinematics", "JointLimits"]
-
 Array = NDArray[np.float64]
 
 BASE_TO_SHOULDER_M = 0.36

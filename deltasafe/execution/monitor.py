@@ -23,8 +23,6 @@ from deltasafe.planning import (
     segment_test,
 )
 
-__all__ = ["Monitor", "MonitorLimits"]
-
 _MAX_MARGIN_M = 0.02
 _CHECK_EVERY_S = 0.01
 """Period of the tests of clearance and camera; all others run at every control step."""

@@ -13,8 +13,6 @@ from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["PHASES", "UNPLANNED_PHASES", "Execution", "rotation_matrices"]
-
 PHASES = ("approach", "rest", "motion", "settle", "retreat", "stopped")
 """Down onto the start, rest there, the planned motion, rest at the goal, up again; stopped by the monitor."""
 

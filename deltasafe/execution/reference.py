@@ -12,8 +12,6 @@ from deltasafe.execution.recording import PHASES, UNPLANNED_PHASES
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.geometry import Trajectory, yaw_of
 
-__all__ = ["Reference"]
-
 Array = NDArray[np.float64]
 
 _LINKS_EVERY = 50

@@ -6,8 +6,6 @@ import math
 from deltasafe.errors import SettingsError
 from deltasafe.execution.impedance import ImpedanceSettings
 
-__all__ = ["ExecutionSettings"]
-
 
 @dataclasses.dataclass(frozen=True)
 class ExecutionSettings:

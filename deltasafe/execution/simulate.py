@@ -20,8 +20,6 @@ from deltasafe.execution.workcell import Workcell
 from deltasafe.geometry import Trajectory
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["ExecutionSettings", "execute"]
-
 Array = NDArray[np.float64]
 
 _STOP_S = 0.5

@@ -18,8 +18,6 @@ from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.planning.audit import body_points
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["SafetyVerdict", "SpeedBin", "evaluate_execution", "largest_p_occupied"]
-
 Array = NDArray[np.float64]
 
 _SPEED_EDGES_MPS = (0.0, 0.005, 0.02, 0.05, 0.1, 0.15, 0.2, math.inf)

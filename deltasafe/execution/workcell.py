@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from deltasafe.execution.arm import Arm
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["Mesh", "Workcell"]
-
 Mesh: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
 
 

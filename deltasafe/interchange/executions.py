@@ -16,8 +16,6 @@ from deltasafe.interchange.scenes import quaternion, upright, vector, write_scen
 from deltasafe.planning.body import ToolBody
 from deltasafe.scene import LoggedScene
 
-__all__ = ["export_execution", "import_execution"]
-
 TOOL, REFERENCE, JOINTS, SAMPLES = "/tool/pose", "/tool/reference", "/joint_states", "/execution"
 PLANNED, DRIVEN = "/path/reference", "/path/executed"
 FACTS = "deltasafe.execution"

@@ -12,8 +12,6 @@ from scipy.spatial.transform import Rotation
 from deltasafe.errors import DataError
 from deltasafe.interchange.mcap_log import NS_PER_S, LogContent, time_ns_of
 
-__all__ = ["WORLD", "FramePose", "Frames", "frame_of", "pose_of", "same_pose"]
-
 WORLD = "world"
 UNIT_TOLERANCE = 1e-3
 """Tolerance of the norm of a quaternion: covers components that were rounded to three decimals."""

@@ -14,8 +14,6 @@ from deltasafe.interchange.schemas import SCHEMAS
 from deltasafe.io.arrays import READ_ERRORS
 from deltasafe.io.storage import atomic_file, parse_json
 
-__all__ = ["NS_PER_S", "LogContent", "LogWriter", "open_log", "read_log", "stamp", "time_ns_of"]
-
 LIBRARY = "deltasafe"
 NS_PER_S = 1_000_000_000
 

@@ -16,8 +16,6 @@ from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.perception.data.labeled_images import read_mask, read_rgb
 from deltasafe.scene import LoggedScene
 
-__all__ = ["export_scene", "import_scene", "write_scene_topics"]
-
 IMAGE, CALIBRATION, TRANSFORM = "/camera/image", "/camera/calibration", "/tf"
 START, GOAL, HAND = "/task/start", "/task/goal", "/truth/hand"
 FACTS = "deltasafe.scene"

@@ -5,8 +5,6 @@ Viewers identify a message by the name of its schema (https://docs.foxglove.dev/
 
 from typing import Any
 
-__all__ = ["SCHEMAS"]
-
 Schema = dict[str, Any]
 
 NUMBER: Schema = {"type": "number"}

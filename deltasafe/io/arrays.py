@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
 
-__all__ = ["MAX_BYTES", "READ_ERRORS", "read_npz"]
-
 MAX_BYTES = 2 * 1024**3
 """Limit for the decompressed arrays of one file together. A few kilobytes can claim to hold more than any memory."""
 

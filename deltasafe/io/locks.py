@@ -11,8 +11,6 @@ import time
 from deltasafe.errors import LockedError
 from deltasafe.io.write_errors import translated_write_errors
 
-__all__ = ["FileLock"]
-
 _POLL_S = 0.05
 
 

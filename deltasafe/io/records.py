@@ -5,8 +5,6 @@ import types
 import typing
 from typing import Any
 
-__all__ = ["from_json"]
-
 
 def from_json(kind: Any, value: Any) -> Any:
     """Convert a JSON value to ``kind``: a frozen dataclass, a tuple, ``X | None``, or a scalar.

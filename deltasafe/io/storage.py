@@ -16,16 +16,6 @@ from deltasafe.errors import DataError
 from deltasafe.io.temporary_files import BACKUP, swap_names, temporary_file, temporary_folder
 from deltasafe.io.write_errors import translated_write_errors
 
-__all__ = [
-    "atomic_file",
-    "atomic_folder",
-    "digest_of",
-    "parse_json",
-    "read_json",
-    "sha256_of_file",
-    "write_json",
-]
-
 
 @contextlib.contextmanager
 def atomic_file(destination: str | pathlib.Path) -> Iterator[pathlib.Path]:

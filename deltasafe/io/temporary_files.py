@@ -20,8 +20,6 @@ import time
 
 from deltasafe.compute.processes import start_ticks
 
-__all__ = ["BACKUP", "find_temporary_files", "remove_leftovers", "swap_names", "temporary_file", "temporary_folder"]
-
 BACKUP = "retired"
 """Purpose of a temporary folder: the previous version, moved aside while it is replaced."""
 _NEW = "new"

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 
 from deltasafe.errors import WriteError
 
-__all__ = ["translated_write_errors"]
-
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NO_PERMISSION = (errno.EACCES, errno.EPERM, errno.EROFS)
 _MESSAGES = {

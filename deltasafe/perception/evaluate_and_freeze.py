@@ -22,8 +22,6 @@ from deltasafe.perception.settings import InferenceSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.train_member import pick_device
 
-__all__ = ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble", "predict_images", "read_labels"]
-
 _RECORD = "judged.json"
 
 

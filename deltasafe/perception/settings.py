@@ -8,15 +8,6 @@ from typing import Any
 from deltasafe.errors import SettingsError
 from deltasafe.io.records import from_json
 
-__all__ = [
-    "ARCHITECTURES",
-    "BACKBONES",
-    "InferenceSettings",
-    "NetworkSettings",
-    "PromotionSettings",
-    "TrainingSettings",
-]
-
 ARCHITECTURES = ("deeplabv3", "deeplabv3plus")
 BACKBONES = ("efficientnet_lite0", "mobilenet_v3_large", "resnet50")
 PRECISIONS = ("auto", "float32", "bfloat16")

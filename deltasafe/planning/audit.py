@@ -13,8 +13,6 @@ from deltasafe.planning.body import ToolBody
 from deltasafe.planning.motion import PlannedMotion
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["Audit", "audit_path", "audit_trajectory", "body_points", "verify_motion"]
-
 Array = NDArray[np.float64]
 
 

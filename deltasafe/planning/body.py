@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.planning.disc_cover import bounding_balls, disc_cover, distance_to_ellipse
 
-__all__ = ["BodyParams", "ToolBody"]
-
 Array = NDArray[np.float64]
 NO_SHAFT_M = -1e6
 """Shaft radius of a body without a shaft: its clearance is then never the smallest."""

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-__all__ = ["bounding_balls", "disc_cover", "distance_to_ellipse"]
-
 Array = NDArray[np.float64]
 
 

@@ -20,8 +20,6 @@ from deltasafe.planning.timing.velocity_schedule import SpeedProfile, VelocitySe
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene import ImageStamp, OccupancyGrid
 
-__all__ = ["MotionSettings", "PlannedMotion", "plan_motion"]
-
 FORMAT = 2
 
 

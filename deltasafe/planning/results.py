@@ -5,8 +5,6 @@ import enum
 
 from deltasafe.geometry import PosePath
 
-__all__ = ["PlanResult", "PlanStatus"]
-
 
 class PlanStatus(enum.StrEnum):
     """How a search ended."""

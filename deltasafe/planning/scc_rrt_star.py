@@ -29,8 +29,6 @@ from deltasafe.planning.search.rrt_star import RrtStar, RrtStarSettings
 from deltasafe.planning.search.shortcutting import refine_path
 from deltasafe.planning.tracking_bound import TrackingBound, tracking_of
 
-__all__ = ["Planner", "PlannerSettings", "plan"]
-
 Array = NDArray[np.float64]
 Counts = tuple[int, int, int]
 """Number of iterations, number of nodes, first iteration with a path."""

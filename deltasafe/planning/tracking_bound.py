@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["TrackingBound", "tracking_of"]
-
 
 @dataclasses.dataclass(frozen=True)
 class TrackingBound:

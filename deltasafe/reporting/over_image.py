@@ -13,19 +13,6 @@ from deltasafe.errors import SettingsError
 from deltasafe.reporting.panels import new_figure
 from deltasafe.scene import Camera
 
-__all__ = [
-    "CLEAR",
-    "INK",
-    "LIMIT",
-    "SIGNAL",
-    "draw_delta_contour",
-    "draw_speed",
-    "finish_image",
-    "finish_plots",
-    "image_and_plots",
-    "mark_ends",
-]
-
 Array = NDArray[np.float64]
 INK, SIGNAL, LIMIT, CLEAR = "#1b1f24", "#0a7d6c", "#d1495b", "#3366aa"
 

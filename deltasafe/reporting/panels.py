@@ -8,8 +8,6 @@ from matplotlib.figure import Figure
 
 from deltasafe.io.storage import atomic_file
 
-__all__ = ["new_figure", "save_figure", "style_axes"]
-
 
 def new_figure(width_in: float, height_in: float) -> Figure:
     """Create an empty white figure with constrained layout."""

@@ -6,8 +6,6 @@ from typing import Any
 
 from deltasafe.reporting.markdown import percent, plus_minus, table
 
-__all__ = ["render"]
-
 
 def render(package: str, name: str, **values: Any) -> str:
     """Render the template ``templates/NAME`` of a package.

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["Camera"]
-
 Array = NDArray[np.float64]
 
 MAX_NUMBER = 1e6

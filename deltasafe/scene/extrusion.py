@@ -12,8 +12,6 @@ from deltasafe.geometry import as_rows
 from deltasafe.scene.camera import Camera
 from deltasafe.scene.occupancy import OccupancyGrid
 
-__all__ = ["FieldSettings", "grid_from_image"]
-
 LEVELS = 5
 """Maximum pyramid: squares with edges of 1, 2, 4, 8 and 16 pixels."""
 

@@ -7,8 +7,6 @@ import numpy as np
 from deltasafe.errors import SettingsError
 from deltasafe.scene.occupancy import OccupancyGrid
 
-__all__ = ["fuse_grids"]
-
 
 def fuse_grids(grids: Sequence[OccupancyGrid]) -> OccupancyGrid:
     """Fuse grids of the same scene: the smallest p_occupied at each point.

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["ImageStamp"]
-
 
 @dataclasses.dataclass(frozen=True)
 class ImageStamp:

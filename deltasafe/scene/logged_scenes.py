@@ -15,8 +15,6 @@ from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import read_json
 from deltasafe.scene.camera import Camera
 
-__all__ = ["LoggedScene", "load_scenes"]
-
 MAX_NAME_LENGTH = 100
 MAX_DISTANCE_M = 10.0
 """Largest coordinate in a scene: larger ones suggest another unit than meters."""

@@ -13,8 +13,6 @@ from deltasafe.geometry import as_rows
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import atomic_file
 
-__all__ = ["OccupancyGrid"]
-
 MIN_VOXEL_M = 1e-5
 """Smallest edge of a voxel: its inverse, which look-ups multiply by, must not overflow."""
 

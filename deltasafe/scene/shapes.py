@@ -12,8 +12,6 @@ from deltasafe.errors import SettingsError
 from deltasafe.geometry import as_rows
 from deltasafe.scene.occupancy import MIN_VOXEL_M, OccupancyGrid
 
-__all__ = ["Cuboid", "Shape", "Sphere", "grid_from_shapes", "p_occupied_near"]
-
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 

@@ -12,8 +12,6 @@ from scipy import optimize, special, stats
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["clopper_pearson", "mean_upper_bound", "upper_bound"]
-
 Array = NDArray[np.float64]
 
 

@@ -17,8 +17,6 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import atomic_file, digest_of
 
-__all__ = ["Batch", "Effort", "run_batches"]
-
 Batch: TypeAlias = Mapping[str, NDArray[Any]]
 
 

@@ -18,8 +18,6 @@ from deltasafe.reporting.panels import save_figure
 from deltasafe.scene import Camera
 from deltasafe.trials.motion_figure import body_outlines
 
-__all__ = ["arc_length_of_samples_m", "executed_over_image"]
-
 Array = NDArray[np.float64]
 
 

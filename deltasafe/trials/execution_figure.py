@@ -6,8 +6,6 @@ from matplotlib.figure import Figure
 from deltasafe.execution.recording import Execution
 from deltasafe.planning import MotionSettings
 
-__all__ = ["execution_figure"]
-
 _TOOL, _ARM, _BOUND, _ERROR = "#1f6fb2", "#8a8d91", "#c8452d", "#1f6fb2"
 
 

@@ -15,8 +15,6 @@ from deltasafe.scene import LoggedScene
 from deltasafe.trials.motions import PlannedScenes, load_motion
 from deltasafe.trials.occupancy_fields import load_image_stamp, load_occupancy_grid
 
-__all__ = ["Outcome", "execute_scenes", "load_execution", "load_outcomes"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:

@@ -14,8 +14,6 @@ from deltasafe.reporting.over_image import CLEAR, INK, LIMIT, SIGNAL
 from deltasafe.reporting.panels import save_figure
 from deltasafe.scene import Camera
 
-__all__ = ["body_outlines", "plan_over_image"]
-
 Array = NDArray[np.float64]
 
 

@@ -14,8 +14,6 @@ from deltasafe.scene import LoggedScene
 from deltasafe.trials.motion_figure import plan_over_image
 from deltasafe.trials.occupancy_fields import load_image_stamp, load_occupancy_grid, load_p_occupied
 
-__all__ = ["PlannedScenes", "audit_motions", "load_motion", "plan_scenes"]
-
 
 @dataclasses.dataclass(frozen=True)
 class PlannedScenes:

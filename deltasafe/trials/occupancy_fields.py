@@ -16,16 +16,6 @@ from deltasafe.scene import FieldSettings, ImageStamp, LoggedScene, OccupancyGri
 if TYPE_CHECKING:
     from deltasafe.perception.inference.ensemble import Ensemble
 
-__all__ = [
-    "load_image_stamp",
-    "load_occupancy_grid",
-    "load_p_occupied",
-    "miss_rates_at_delta",
-    "read_scene_image",
-    "read_true_mask",
-    "write_fields",
-]
-
 
 def write_fields(
     ensemble: "Ensemble",

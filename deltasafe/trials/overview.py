@@ -15,8 +15,6 @@ from deltasafe.perception.inference.occupancy_overlay import occupancy_overlay
 from deltasafe.scene import LoggedScene
 from deltasafe.trials.occupancy_fields import load_p_occupied
 
-__all__ = ["overview", "tile_pictures"]
-
 
 def overview(
     scenes: Sequence[LoggedScene], fields: pathlib.Path, delta: float, destination: pathlib.Path, columns: int = 5

@@ -13,8 +13,6 @@ from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disj
 from deltasafe.trials.occupancy_fields import read_scene_image, read_true_mask
 from deltasafe.trials.selection import chosen_scenes
 
-__all__ = ["InputFolder", "RunInputs"]
-
 
 @dataclasses.dataclass(frozen=True)
 class InputFolder:

@@ -6,8 +6,6 @@ import pathlib
 from deltasafe.execution.verdict import SafetyVerdict
 from deltasafe.io.storage import read_json
 
-__all__ = ["SafetyReport", "SceneReport", "read_figures"]
-
 
 @dataclasses.dataclass(frozen=True)
 class SceneReport:

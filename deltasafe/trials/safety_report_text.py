@@ -3,8 +3,6 @@
 from deltasafe.reporting.templates import render
 from deltasafe.trials.safety_report import SafetyReport
 
-__all__ = ["safety_markdown", "safety_summary"]
-
 
 def safety_markdown(report: SafetyReport) -> str:
     """Return the report with links to the figures and films beside it."""

@@ -9,8 +9,6 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_folder, read_json, sha256_of_file, write_json
 from deltasafe.scene import LoggedScene, load_scenes
 
-__all__ = ["chosen_scenes", "load_selection", "select_scene", "select_scenes"]
-
 
 def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> tuple[LoggedScene, ...]:
     """Check the scenes below ``source`` and write the first ``n_scenes`` (0: all) to ``folder``.

@@ -15,8 +15,6 @@ from deltasafe.trials.safety_report import SafetyReport
 from deltasafe.trials.selection import load_selection
 from deltasafe.trials.write_safety_report import write_safety_report
 
-__all__ = ["execute_scene", "plan_scene"]
-
 
 def plan_scene(
     selection: pathlib.Path,

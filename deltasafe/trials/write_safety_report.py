@@ -19,8 +19,6 @@ from deltasafe.trials.overview import tile_pictures
 from deltasafe.trials.safety_report import SafetyReport, SceneReport
 from deltasafe.trials.safety_report_text import safety_markdown, safety_summary
 
-__all__ = ["write_safety_report"]
-
 
 def write_safety_report(
     planned: PlannedScenes,

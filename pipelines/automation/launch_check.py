@@ -14,8 +14,6 @@ from assets.interfaces import Store
 from assets.run_settings import conflicting_deltas
 from deltasafe.errors import SettingsError
 
-__all__ = ["defective_inputs", "launch_error", "wrong_settings"]
-
 
 def launch_error(run_config: Mapping[str, Any], steps: Collection[str], store: Store) -> str:
     """Return why a run of ``steps`` must not start, with all errors; empty if it may."""

@@ -17,8 +17,6 @@ from pipelines.supervision import MACHINE_TAG, process_of, step_processes
 if TYPE_CHECKING:
     from dagster._core.storage.dagster_run import DagsterRun
 
-__all__ = ["end_leftover_processes", "fail_lost_runs"]
-
 _STARTING = dg.DagsterRunStatus.STARTING
 _UNFINISHED = [_STARTING, dg.DagsterRunStatus.STARTED, dg.DagsterRunStatus.CANCELING]
 _ABORTED = [dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED]

@@ -20,13 +20,6 @@ from pipelines.watched_folders import (
     watched_scenes,
 )
 
-__all__ = [
-    "INTERVAL_VARIABLE",
-    "all_sensors",
-    "check_images",
-    "check_scenes",
-]
-
 INTERVAL_VARIABLE = "DELTASAFE_SENSOR_INTERVAL_S"
 
 _IMAGES_DESCRIPTION = (

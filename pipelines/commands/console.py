@@ -6,8 +6,6 @@ import sys
 import dagster as dg
 from dagster import DagsterEventType
 
-__all__ = ["progress_console"]
-
 _SHOWN = {
     DagsterEventType.STEP_START: "started",
     DagsterEventType.STEP_SUCCESS: "done",

@@ -13,8 +13,6 @@ from pipelines.commands.pictures import record_pictures
 from pipelines.commands.provenance import commit, machine
 from pipelines.home import prepare_home
 
-__all__ = ["main"]
-
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the job; return 0 if every step and every blocking check passed, else 1."""

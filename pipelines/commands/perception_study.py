@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from deltasafe.studies.perception.study import Study
     from deltasafe.studies.perception.tables import Reports
 
-__all__ = ["main"]
-
 _PRINT_EVERY_S = 15.0
 _MIN_STEPS_FOR_ESTIMATE = 20
 

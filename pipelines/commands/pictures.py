@@ -5,8 +5,6 @@ import shutil
 
 from deltasafe.io.storage import atomic_folder, read_json
 
-__all__ = ["record_pictures", "record_report"]
-
 
 def record_report(folder: pathlib.Path, destination: pathlib.Path) -> None:
     """Copy `report.md`, its films, and its plots with 128 colors; ``destination`` is replaced."""

@@ -7,8 +7,6 @@ from deltasafe.io.storage import read_json
 from pipelines.command_line import run_command
 from pipelines.commands.study_run import record_study, run_study, study_parser
 
-__all__ = ["main"]
-
 
 def main() -> int:
     """Run the job; return 0 on success, 1 otherwise."""

@@ -7,8 +7,6 @@ import subprocess
 
 from pipelines.home import PROJECT
 
-__all__ = ["commit", "machine"]
-
 
 def commit() -> str:
     """Return twelve digits of the commit of the checkout, with `-dirty` if files were changed."""

@@ -7,8 +7,6 @@ from typing import Any
 from deltasafe.io.storage import read_json, write_json
 from pipelines.commands.provenance import commit, machine
 
-__all__ = ["merge_part"]
-
 
 def merge_part(
     destination: str | pathlib.Path,

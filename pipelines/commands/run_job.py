@@ -9,8 +9,6 @@ import dagster as dg
 from pipelines.automation.lost_runs import fail_lost_runs
 from pipelines.storage.io_manager import FolderPointers
 
-__all__ = ["job_named", "latest_folder", "run_to_end"]
-
 
 def job_named(name: str) -> dg.JobDefinition:
     """Return a job of this project; the processes of its steps call this function, too."""

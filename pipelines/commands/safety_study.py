@@ -11,8 +11,6 @@ from pipelines.command_line import run_command
 from pipelines.commands.study_run import record_study, run_study, study_parser
 from pipelines.home import prepare_home
 
-__all__ = ["main"]
-
 
 def main() -> int:
     """Run the job, or film one trial of the last run; return 0 on success, 1 otherwise."""

@@ -12,8 +12,6 @@ from pipelines.commands.pictures import record_report
 from pipelines.commands.records import merge_part
 from pipelines.home import prepare_home
 
-__all__ = ["record_study", "run_study", "study_parser"]
-
 
 def study_parser(study: str, description: str | None) -> argparse.ArgumentParser:
     """Create the parser of ``python -m pipelines.commands.STUDY`` with the options that all studies have."""

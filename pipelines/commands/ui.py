@@ -15,8 +15,6 @@ from pipelines.command_line import run_command
 from pipelines.home import PROJECT, mlflow_ui, prepare_home, tracking_uri
 from pipelines.tracking.mlflow_server import local_address, mlflow_command
 
-__all__ = ["main"]
-
 LOOPBACK = ("127.0.0.1", "localhost")
 
 

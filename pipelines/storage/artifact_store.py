@@ -20,8 +20,6 @@ from pipelines.storage.shared_store import (
     store_from_environment,
 )
 
-__all__ = ["ArtifactStore", "artifact_store"]
-
 _log = logging.getLogger("deltasafe.store")
 
 Pointer = dict[str, Any]

@@ -8,8 +8,6 @@ import dagster as dg
 from deltasafe.compute.parent_watchdog import end_with_parent
 from pipelines.storage.artifact_store import ArtifactStore, artifact_store
 
-__all__ = ["FolderPointers"]
-
 
 class FolderPointers(dg.ConfigurableIOManager):
     """Stores a pointer to the folder that an asset returns. Assets write their folders themselves, atomically.

@@ -21,16 +21,6 @@ from typing import Any, TypeVar
 from deltasafe.errors import DataError, DeltasafeError, SettingsError
 from deltasafe.io.storage import atomic_file, atomic_folder, parse_json, sha256_of_file
 
-__all__ = [
-    "STORE_VARIABLE",
-    "ObjectError",
-    "SharedStore",
-    "StoreAwayError",
-    "digest_of_manifest",
-    "manifest_of_folder",
-    "store_from_environment",
-]
-
 STORE_VARIABLE = "DELTASAFE_STORE"
 
 _ATTEMPTS = 6

@@ -10,8 +10,6 @@ from typing import Any
 
 from deltasafe.io.storage import read_json, write_json
 
-__all__ = ["CallQueue"]
-
 _log = logging.getLogger("deltasafe.tracking")
 _TRANSIENT = re.compile(
     r"disk is full|disk I/O|No space left|too large|is locked"

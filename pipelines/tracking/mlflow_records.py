@@ -15,8 +15,6 @@ from typing import Any
 from pipelines.home import PROJECT, TRACKING_VARIABLE, mlflow_ui
 from pipelines.tracking.model_versions import MODEL_NAME, ModelVersions
 
-__all__ = ["EXPERIMENT", "MlflowRecords"]
-
 EXPERIMENT = "deltasafe"
 
 _MODEL_CODE = pathlib.Path(__file__).with_name("mlflow_model.py")

@@ -7,8 +7,6 @@ import sys
 from pipelines.home import TRACKING_VARIABLE, tracking_uri
 from pipelines.storage.shared_store import STORE_VARIABLE
 
-__all__ = ["ARTIFACTS_VARIABLE", "BACKEND_VARIABLE", "local_address", "mlflow_command"]
-
 BACKEND_VARIABLE = "MLFLOW_BACKEND_STORE_URI"
 ARTIFACTS_VARIABLE = "MLFLOW_ARTIFACTS_DESTINATION"
 

@@ -7,8 +7,6 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-__all__ = ["CHALLENGER", "CHAMPION", "DEMOTED_TAG", "MODEL_NAME", "ModelVersions"]
-
 MODEL_NAME = "deltasafe-hand-ensemble"
 CHAMPION = "champion"
 CHALLENGER = "challenger"

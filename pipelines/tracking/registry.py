@@ -20,8 +20,6 @@ from pipelines.home import prepare_home, tracking_uri
 from pipelines.tracking.model_versions import DEMOTED_TAG
 from pipelines.tracking.tracker import MlflowTracker, is_reachable
 
-__all__ = ["EnsembleRegistry", "main"]
-
 _DECISION_TAGS = ("promoted", "refused", DEMOTED_TAG)
 
 

@@ -16,8 +16,6 @@ from pipelines.home import set_quiet_environment, tracking_uri
 from pipelines.tracking.call_queue import CallQueue
 from pipelines.tracking.mlflow_records import MlflowRecords
 
-__all__ = ["RECORDING_LOG_PREFIX", "MlflowTracker", "is_reachable"]
-
 _log = logging.getLogger("deltasafe.tracking")
 
 _ESSENTIAL = ("register", "promote", "demote")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import atomic_file, atomic_folder, sha256_of_file, write_json
-from deltasafe.perception.artifact.manifest import FORMAT_VERSION, load_manifest, new_manifest, settings_of_manifest
+from deltasafe.perception.artifact.manifest import load_manifest, new_manifest, settings_of_manifest
 from deltasafe.perception.artifact.model_card import model_card
 from deltasafe.perception.artifact.onnx_export import export_onnx
 from deltasafe.perception.calibration.delta_support import Calibration
@@ -26,16 +26,6 @@ from deltasafe.perception.inference.backends import InferenceBackend, load_progr
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.settings import InferenceSettings
 from deltasafe.perception.training.member import Member, load_network
-
-__all__ = [
-    "FORMAT_VERSION",
-    "FrozenEnsemble",
-    "artifact_name",
-    "golden_difference",
-    "load_ensemble",
-    "verify_artifact",
-    "write_frozen_ensemble",
-]
 
 _FIRST_WITH_MEMBER_LOGITS = 3
 """Format version; programs of earlier formats lack the output ``member_logits``."""

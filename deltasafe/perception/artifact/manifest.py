@@ -13,8 +13,6 @@ from deltasafe.io.storage import read_json
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
 
-__all__ = ["FORMAT_VERSION", "load_manifest", "new_manifest", "settings_of_manifest"]
-
 FORMAT_VERSION = 3
 """Version 2 applies the temperature of `calibration.json`; in version 1 it was always 1. Since version 3 the ONNX
 program accepts images of any size and also returns the members' logits."""

@@ -7,8 +7,6 @@ from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.perception.settings import InferenceSettings
 from deltasafe.reporting.templates import render
 
-__all__ = ["model_card"]
-
 
 def model_card(manifest: dict[str, Any], calibration: Calibration) -> str:
     """Fill the template; the same input gives the same text."""

@@ -18,8 +18,6 @@ from deltasafe.perception.inference.ensemble import Ensemble
 if TYPE_CHECKING:
     import onnx
 
-__all__ = ["export_onnx"]
-
 _OPSET = 18
 _EXAMPLE_SIZE = (160, 224)
 """Size of the traced image: no feature map is square, and no two strides give the same size."""

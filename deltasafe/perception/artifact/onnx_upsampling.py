@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import onnx
 
-__all__ = ["DOMAIN", "convolve_before_upsampling", "upsampling_functions"]
-
 DOMAIN = "deltasafe"
 _FUNCTIONS = (
     """

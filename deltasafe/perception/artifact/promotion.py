@@ -20,8 +20,6 @@ from deltasafe.perception.calibration.reliability import bootstrap_weights
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.settings import PromotionSettings
 
-__all__ = ["NonInferiorityTest", "PromotionDecision", "decide_promotion", "non_inferiority_tests", "score_ensemble"]
-
 
 @dataclasses.dataclass(frozen=True)
 class NonInferiorityTest:

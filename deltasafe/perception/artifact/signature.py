@@ -13,8 +13,6 @@ from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.io.storage import atomic_file
 from deltasafe.perception.artifact.frozen_ensemble import verify_artifact
 
-__all__ = ["sign_artifact", "signature_of", "verify_signature"]
-
 
 def signature_of(folder: str | pathlib.Path) -> pathlib.Path:
     """Return the path of the signature: ``FOLDER.sig``, beside the folder."""

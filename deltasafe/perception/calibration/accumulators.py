@@ -26,8 +26,6 @@ from deltasafe.perception.calibration.reliability import (
 from deltasafe.perception.calibration.report import PredictorResult
 from deltasafe.perception.calibration.temperature import LogitCounts, logit_counts
 
-__all__ = ["EnsembleAccumulator", "FitAccumulator", "PredictorAccumulator", "SafetyAccumulator"]
-
 
 @dataclasses.dataclass
 class PredictorAccumulator:

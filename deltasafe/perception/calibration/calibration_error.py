@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from deltasafe.perception.calibration.metrics import NLL_CLIP, require_labeled_prediction
 from deltasafe.perception.calibration.reliability import BinCounts, bin_pixels
 
-__all__ = ["CalibrationErrors", "calibration_errors", "equal_mass_bins", "margin_counts"]
-
 _ADAPTIVE_BINS = 15
 _FINE_BINS = 4096
 _MAX_LOGIT = float(np.log((1 - NLL_CLIP) / NLL_CLIP))

@@ -30,17 +30,6 @@ from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.metrics import require_labeled_prediction
 from deltasafe.perception.calibration.reliability import DELTA_GRID
 
-__all__ = [
-    "REFERENCE_WIDTH_PX",
-    "ConformalMargin",
-    "ConformalMargins",
-    "distance_to_unsafe_px",
-    "finite_or_none",
-    "hausdorff_at_delta",
-    "margin_sentence",
-    "with_infinity",
-]
-
 REFERENCE_WIDTH_PX = 384
 """Margins are printed as pixels of an image of this width, that of the packaged images."""
 

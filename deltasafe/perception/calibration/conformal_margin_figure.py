@@ -23,8 +23,6 @@ from deltasafe.perception.calibration.overlay_figure import Overlay
 from deltasafe.perception.calibration.report import CalibrationReport
 from deltasafe.reporting.panels import style_axes
 
-__all__ = ["conformal_margin_figure"]
-
 _HAND = "#00E5FF"
 _DELTAS = (0.02, 0.05, 0.2)
 _COLORS = (BLUE, ORANGE, RED)

@@ -24,15 +24,6 @@ from scipy.special import expit
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.metrics import require_labeled_prediction
 
-__all__ = [
-    "THRESHOLD_GRID",
-    "RiskControl",
-    "conformal_threshold",
-    "control_risk",
-    "leave_one_out_loss",
-    "missed_fractions",
-]
-
 THRESHOLD_GRID: NDArray[np.float64] = expit(np.arange(-1600, 1601) / 100)
 """(3201,) candidate thresholds, 1 % apart in odds, from 1e-7 to 1 - 1e-7. The theorem holds for any fixed grid."""
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from deltasafe.perception.calibration.reliability import ReliabilityCurve
 
-__all__ = ["BLUE", "GRAY", "ORANGE", "RED", "draw_band", "draw_curve", "draw_pixel_fractions", "observed", "size_color"]
-
 BLUE = "#0072B2"
 RED = "#C8102E"
 ORANGE = "#E69F00"

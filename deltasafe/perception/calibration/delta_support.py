@@ -18,17 +18,6 @@ from deltasafe.io.storage import read_json
 from deltasafe.perception.calibration.conformal_margin import ConformalMargins
 from deltasafe.perception.calibration.reliability import DELTA_GRID, BinCounts, bootstrap_weights, ratio
 
-__all__ = [
-    "Calibration",
-    "DeltaSupport",
-    "HeldOutDelta",
-    "cumulative_safety_counts",
-    "delta_support",
-    "held_out_support",
-    "require_supported_delta",
-    "smallest_supported_delta",
-]
-
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:

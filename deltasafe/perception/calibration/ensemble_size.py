@@ -14,8 +14,6 @@ from deltasafe.perception.calibration.reliability import bootstrap_weights
 from deltasafe.perception.calibration.report import CalibrationReport
 from deltasafe.reporting.templates import render
 
-__all__ = ["EnsembleSize", "ensemble_size_rows", "ensemble_size_table", "ensemble_size_values"]
-
 
 @dataclasses.dataclass(frozen=True)
 class EnsembleSize:

@@ -25,8 +25,6 @@ from deltasafe.perception.calibration.reliability import CONFIDENCE_EDGES
 from deltasafe.perception.calibration.report import CalibrationReport
 from deltasafe.reporting.panels import style_axes
 
-__all__ = ["ensemble_reliability_figure", "ensemble_size_figure"]
-
 _N_MEMBERS_SHOWN = 5
 
 

@@ -50,8 +50,6 @@ from deltasafe.perception.calibration.temperature import (
     stack_logit_counts,
 )
 
-__all__ = ["evaluate"]
-
 _ALPHAS = (0.02, 0.03, 0.05, 0.1)
 
 

@@ -11,8 +11,6 @@ from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.metrics import require_label, require_labeled_prediction, require_p_occupied
 from deltasafe.perception.calibration.temperature import pooled_probability
 
-__all__ = ["LabeledPredictions", "PredictionSource"]
-
 
 class PredictionSource(Protocol):
     """N arrays (M, H, W) of the p_occupied of M members, for example a list or `MemberPredictions`."""

@@ -23,21 +23,6 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 
-__all__ = [
-    "NLL_CLIP",
-    "ImageScores",
-    "MeanAndSd",
-    "Scores",
-    "bootstrap_scores",
-    "mean_and_sd",
-    "percentile_interval",
-    "pool_scores",
-    "require_label",
-    "require_labeled_prediction",
-    "require_p_occupied",
-    "score_image",
-]
-
 NLL_CLIP = 1e-7
 
 

@@ -8,8 +8,6 @@ from deltasafe.perception.calibration.curve_drawing import BLUE, ORANGE, RED, dr
 from deltasafe.perception.calibration.report import CalibrationReport
 from deltasafe.reporting.panels import style_axes
 
-__all__ = ["missed_hands_figure"]
-
 _N_NAMED = 5
 
 

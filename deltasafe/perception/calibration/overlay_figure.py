@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.metrics import require_label, require_p_occupied, score_image
 
-__all__ = ["Overlay", "overlay_figure"]
-
 _LABEL = "#00E5FF"
 _MISS = "#FF9F1C"
 _CONFIDENT_MISS = "#E4002B"

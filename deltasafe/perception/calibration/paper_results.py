@@ -6,14 +6,6 @@ scheme" of Table II is the M = 10 ensemble of Table III (decision 2).
 
 import dataclasses
 
-__all__ = [
-    "AUGMENTATION_RESULTS",
-    "ENSEMBLE_SIZE_RESULTS",
-    "MEMBER_RELIABILITY_RESULTS",
-    "RELIABILITY_RESULTS",
-    "SchemeResult",
-]
-
 
 @dataclasses.dataclass(frozen=True)
 class SchemeResult:

@@ -12,22 +12,6 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.metrics import require_labeled_prediction
 
-__all__ = [
-    "CONFIDENCE_EDGES",
-    "DELTA_GRID",
-    "BinCounts",
-    "ReliabilityCurve",
-    "bin_pixels",
-    "bootstrap_weights",
-    "class_counts",
-    "confidence_counts",
-    "delta_index",
-    "ratio",
-    "reliability_curve",
-    "safety_counts",
-    "stack_counts",
-]
-
 CONFIDENCE_EDGES = tuple(i / 20 for i in range(10, 21))
 """Ten equal bins on [0.5, 1] (Fig. 4 of the paper); the last one is closed."""
 

@@ -20,8 +20,6 @@ from deltasafe.perception.calibration.reliability import CONFIDENCE_EDGES, DELTA
 from deltasafe.perception.calibration.report import CalibrationReport
 from deltasafe.reporting.panels import style_axes
 
-__all__ = ["reliability_figure"]
-
 _SMALLEST_P = 1e-5
 _BARS = "#c9d6df"
 

@@ -23,16 +23,6 @@ from deltasafe.perception.calibration.delta_support import (
 from deltasafe.perception.calibration.metrics import ImageScores, MeanAndSd, Scores
 from deltasafe.perception.calibration.reliability import DELTA_GRID, ReliabilityCurve, delta_index
 
-__all__ = [
-    "FORMAT_VERSION",
-    "CalibrationReport",
-    "CalibrationSettings",
-    "EvaluationResult",
-    "GateThresholds",
-    "PredictorResult",
-    "gate",
-]
-
 FORMAT_VERSION = 3
 
 

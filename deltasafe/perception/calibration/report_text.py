@@ -13,8 +13,6 @@ from deltasafe.perception.calibration.report import CalibrationReport, Evaluatio
 from deltasafe.reporting.markdown import percent, plus_minus
 from deltasafe.reporting.templates import render
 
-__all__ = ["report_markdown"]
-
 Rows = list[tuple[str, ...]]
 
 _MEASURES = (

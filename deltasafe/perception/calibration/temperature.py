@@ -12,17 +12,6 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.metrics import NLL_CLIP, require_labeled_prediction, require_p_occupied
 
-__all__ = [
-    "LogitCounts",
-    "apply_temperature",
-    "cross_fitted_temperatures",
-    "fit_temperature",
-    "folds_of",
-    "logit_counts",
-    "pooled_probability",
-    "stack_logit_counts",
-]
-
 _MAX_LOGIT = float(np.log((1 - NLL_CLIP) / NLL_CLIP))
 _BINS = 4096
 _TEMPERATURE_LIMITS = (0.05, 20.0)

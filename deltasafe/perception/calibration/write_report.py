@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from deltasafe.perception.calibration.overlay_figure import Overlay
 
-__all__ = ["write_calibration_report"]
-
 LoadImage = Callable[[str], NDArray[np.uint8]]
 
 

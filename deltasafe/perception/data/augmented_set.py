@@ -25,8 +25,6 @@ from deltasafe.perception.data.schemes import SCHEMES, SchemeSettings, scheme_na
 from deltasafe.perception.data.schemes.generation import VariantGenerator, size_and_mask_dtype, variant_generator
 from deltasafe.perception.data.schemes.mixup import soft_labels
 
-__all__ = ["AugmentedSet", "augment_images"]
-
 FORMAT = 1
 
 

@@ -16,8 +16,6 @@ from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.labeled_images_figure import evenly_spaced
 
-__all__ = ["contact_sheet", "scheme_sheet"]
-
 OUTLINE_RGB = (0.0, 0.85, 1.0)
 METHOD_LABELS = {
     "flip": "flip",

@@ -14,16 +14,6 @@ from PIL import Image
 from deltasafe.errors import DataError
 from deltasafe.io.storage import digest_of, sha256_of_file
 
-__all__ = [
-    "LabeledImageSet",
-    "check_disjoint",
-    "read_mask",
-    "read_or_none",
-    "read_registry",
-    "read_rgb",
-    "resize_labeled",
-]
-
 _EXIF_ORIENTATION = 0x0112
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 MAX_PIXELS = 80_000_000

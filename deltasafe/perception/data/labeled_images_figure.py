@@ -5,8 +5,6 @@ import numpy as np
 
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 
-__all__ = ["evenly_spaced", "labeled_images_figure"]
-
 _OUTLINE_RGB = (0, 229, 255)
 
 

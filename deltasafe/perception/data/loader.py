@@ -10,8 +10,6 @@ from torch.nn import functional
 from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.settings import TrainingSettings
 
-__all__ = ["Batches"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Batches:

@@ -14,8 +14,6 @@ from torch import Tensor, nn
 
 from deltasafe.errors import ArtifactError, SettingsError
 
-__all__ = ["BACKENDS", "InferenceBackend", "TorchBackend", "load_program", "select_backend"]
-
 BACKENDS = ("auto", "torch", "onnxruntime", "openvino")
 _SPIN_US = "50"
 _SMALLEST_SIZE = (32, 32)

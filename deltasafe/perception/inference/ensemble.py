@@ -14,8 +14,6 @@ from deltasafe.perception.inference.lazy_backend import LazyBackend
 from deltasafe.perception.settings import InferenceSettings
 from deltasafe.perception.training.network import SegmentationNetwork
 
-__all__ = ["Ensemble", "probability"]
-
 
 class Ensemble:
     """M networks with uniform weights.

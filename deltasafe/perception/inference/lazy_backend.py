@@ -9,8 +9,6 @@ import torch
 
 from deltasafe.perception.inference.backends import InferenceBackend
 
-__all__ = ["LazyBackend"]
-
 
 class LazyBackend:
     """Holds a backend, which cannot be forked, pickled or copied; each copy creates its own.

@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["occupancy_overlay"]
-
 _TINT = np.array([255.0, 120.0, 0.0])
 
 

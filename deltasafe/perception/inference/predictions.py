@@ -12,8 +12,6 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.perception.calibration.metrics import require_p_occupied
 
-__all__ = ["MemberPredictions"]
-
 Array = NDArray[np.float32]
 
 

@@ -8,8 +8,6 @@ from torch import Tensor, nn
 
 from deltasafe.io.storage import atomic_file, parse_json
 
-__all__ = ["Checkpoint"]
-
 
 class Checkpoint:
     """The latest state of one training.

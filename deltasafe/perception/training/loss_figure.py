@@ -8,8 +8,6 @@ from matplotlib.figure import Figure
 
 from deltasafe.io.storage import atomic_file
 
-__all__ = ["plot_loss_curves"]
-
 
 def plot_loss_curves(
     losses: Mapping[str, Sequence[float]], steps_per_epoch: int, destination: str | pathlib.Path

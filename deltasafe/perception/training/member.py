@@ -11,8 +11,6 @@ from deltasafe.io.storage import atomic_file, read_json, sha256_of_file, write_j
 from deltasafe.perception.settings import NetworkSettings
 from deltasafe.perception.training.network import SegmentationNetwork, build_network
 
-__all__ = ["Member", "load_network"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Member:

@@ -11,8 +11,6 @@ from torch.nn import functional
 
 from deltasafe.perception.settings import NetworkSettings
 
-__all__ = ["SegmentationNetwork", "build_network", "has_pretrained_weights"]
-
 _IMAGENET_MEAN = (0.485, 0.456, 0.406)
 _IMAGENET_SD = (0.229, 0.224, 0.225)
 

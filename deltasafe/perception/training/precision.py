@@ -6,8 +6,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["autocast_on_gpu", "convert_to_low_precision", "resolve_precision"]
-
 
 def resolve_precision(name: str, device: torch.device) -> str:
     """Return ``float32`` or ``bfloat16``; ``auto`` is bfloat16 if ``device`` has instructions for it."""

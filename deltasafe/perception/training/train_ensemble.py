@@ -15,8 +15,6 @@ from deltasafe.perception.settings import TrainingSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.train_member import StepReport, pick_device, train_member, training_identity
 
-__all__ = ["MemberJob", "train_ensemble", "train_members"]
-
 
 @dataclasses.dataclass(frozen=True)
 class MemberJob:

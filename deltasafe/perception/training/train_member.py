@@ -26,15 +26,6 @@ from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.network import build_network, has_pretrained_weights
 from deltasafe.perception.training.precision import autocast_on_gpu, convert_to_low_precision, resolve_precision
 
-__all__ = [
-    "StepReport",
-    "learning_rate",
-    "pick_device",
-    "train_member",
-    "training_identity",
-]
-
-
 RECIPE_VERSION = 2
 """Part of a member's identity. Increase it when a change of code trains different weights from the same settings."""
 _LOCK_TIMEOUT_S = 30.0

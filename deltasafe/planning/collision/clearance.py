@@ -13,8 +13,6 @@ from deltasafe.planning.collision.distance_field import (
     voxel_of,
 )
 
-__all__ = ["clearance_of_pose", "is_surely_unsafe", "level_clearance"]
-
 
 @inlined
 def level_clearance(arrays, body, pose, needed_m, height_m):  # type: ignore[no-untyped-def]

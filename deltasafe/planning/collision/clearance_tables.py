@@ -10,8 +10,6 @@ from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField, Lattice
 from deltasafe.planning.collision.yaw_clearance_table import NO_YAW_TABLE, YawClearanceTable, yaw_clearance_table
 
-__all__ = ["UNIT_M", "ClearanceTables", "clearance_tables_of", "table_clearance_m"]
-
 UNIT_M = 0.0005
 """Resolution of ``ClearanceTables.steps``: 255 steps reach 127 mm."""
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField, Lattice
 
-__all__ = ["CollisionArrays", "collision_arrays_of"]
-
 GOLDEN_RATIO = (math.sqrt(5) - 1) / 2
 
 

@@ -13,8 +13,6 @@ from deltasafe.planning.collision.segment import in_order, motion_m, pose_at
 from deltasafe.planning.collision.segment_query import register_segment_test
 from deltasafe.planning.collision.yaw_clearance_table import is_free_by_yaw
 
-__all__ = ["BY_YAW_M", "ContinuousTest"]
-
 PRECHECK_SPACING_M = 0.08
 """Motion between the poses of the collision precheck; affects the time, not the answer."""
 

@@ -16,8 +16,6 @@ from deltasafe.planning.collision.segment import in_order, motion_m, pose_at
 from deltasafe.planning.collision.segment_query import register_segment_test
 from deltasafe.planning.collision.yaw_clearance_table import is_free_by_yaw
 
-__all__ = ["ExactTest", "SampledTest", "StepParams"]
-
 
 class StepParams(NamedTuple):
     """Spacing of the tested poses, and the clearance that each needs: margin plus half of the spacing."""

@@ -19,8 +19,6 @@ from deltasafe.planning.collision.distance_transform import (
 )
 from deltasafe.scene import OccupancyGrid
 
-__all__ = ["DistanceField", "FieldArrays", "Lattice", "tight_clearance_at", "voxel_clearance_at", "voxel_of"]
-
 REACH_M = 0.06
 """Distances of voxels are exact up to here and capped beyond; the coarse grid has bounds that reach farther."""
 

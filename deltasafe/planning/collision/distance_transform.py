@@ -5,8 +5,6 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled, kernel
 
-__all__ = ["MAX_REACH", "squared_distance_in_slabs", "squared_distance_to_voxels"]
-
 MAX_REACH = 90
 """Largest reach in voxels: the sum of two squared distances, 2 (2 * 90)^2 = 64,800, fits 16 bits."""
 

@@ -10,8 +10,6 @@ from deltasafe.compute.numba_cache import inlined
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField
 
-__all__ = ["SamplePool", "sample_pool", "samples_are_free"]
-
 POOL_SIZE = 16384
 BLOCK = 16
 """Samples per iteration of the vectorized loop; samples beyond N_x in the last block are masked."""

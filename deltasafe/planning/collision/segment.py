@@ -4,8 +4,6 @@ import math
 
 from deltasafe.compute.numba_cache import inlined
 
-__all__ = ["in_order", "motion_m", "pose_at"]
-
 
 @inlined
 def in_order(first, second):  # type: ignore[no-untyped-def]

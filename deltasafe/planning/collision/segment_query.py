@@ -8,8 +8,6 @@ from numba.extending import overload
 
 from deltasafe.compute.numba_cache import kernel
 
-__all__ = ["as_pose", "register_segment_test", "segment_is_safe", "segment_passes"]
-
 
 def segment_is_safe(constraint: Any, start: Any, end: Any) -> bool:
     """Return whether every pose of the segment between two poses (tuples of 4) satisfies the constraint.

@@ -20,8 +20,6 @@ from deltasafe.planning.collision.distance_field import DistanceField
 from deltasafe.planning.collision.scenario_samples import sample_pool
 from deltasafe.planning.collision.segment_query import as_pose, segment_passes
 
-__all__ = ["METHODS", "CheckSettings", "SegmentTest", "body_clearance_m", "is_segment_safe", "segment_test"]
-
 METHODS = ("sampled", "exact", "continuous")
 MAX_SAMPLES = 16384
 Array = NDArray[np.float64]

@@ -14,8 +14,6 @@ from deltasafe.compute.numba_cache import compiled, inlined, kernel
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField, voxel_of
 
-__all__ = ["NO_YAW_TABLE", "YawClearanceTable", "is_free_by_yaw", "yaw_clearance_table"]
-
 BINS = 8
 """Bins of half a turn, the period of the disc. More bins accept few more poses."""
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from deltasafe.compute.numba_cache import inlined, kernel
 from deltasafe.planning.search.simd_groups import GROUP, append_within, ctz, le_mask, squared_distances
 
-__all__ = ["BucketTree", "collect", "empty_buckets", "insert", "nearest_in"]
-
 STACK_SIZE = 256
 
 

@@ -9,8 +9,6 @@ from scipy import ndimage
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.collision.distance_field import DistanceField
 
-__all__ = ["is_connected"]
-
 Array = NDArray[np.float64]
 
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from deltasafe.compute.numba_cache import inlined, kernel
 from deltasafe.errors import SettingsError
 
-__all__ = ["COSTS", "LineCost", "area_m2", "least_cost", "line_cost", "path_cost", "pose_distance", "segment_cost"]
-
 COSTS = ("root", "squared", "area")
 ROOT, SQUARED, _ = range(3)
 MAX_WEIGHT = 1e6

@@ -15,8 +15,6 @@ from deltasafe.planning.search.neighbors import Neighbors, add_point, k_nearest,
 from deltasafe.planning.search.sampling import draw_pose
 from deltasafe.planning.search.tree import FIRST_CHILD, NEXT_SIBLING, TreeArrays, attach, pose_of, reparent, set_pose
 
-__all__ = ["Search", "SearchParams", "begin", "copy_points", "grow", "keep_valid"]
-
 Array = NDArray[np.float64]
 
 N_POINTS, N_ITERATIONS, SOLVED_AT = range(3)

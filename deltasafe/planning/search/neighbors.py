@@ -10,8 +10,6 @@ from deltasafe.compute.numba_cache import inlined
 from deltasafe.planning.search.bucket_tree import BucketTree, collect, empty_buckets, insert, nearest_in
 from deltasafe.planning.search.simd_groups import GROUP, append_within, ctz, le_mask, popcount, squared_distances
 
-__all__ = ["BUCKET_THRESHOLD", "Neighbors", "add_point", "empty_neighbors", "k_nearest", "nearest", "within"]
-
 BUCKET_THRESHOLD = 4500
 """Number of points beyond which the bucket tree is faster than a scan."""
 

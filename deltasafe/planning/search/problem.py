@@ -11,8 +11,6 @@ from deltasafe.errors import SettingsError
 from deltasafe.geometry import as_rows
 from deltasafe.planning.search.cost import LineCost
 
-__all__ = ["SearchProblem", "require_budget", "search_problem"]
-
 
 class SearchProblem(NamedTuple):
     """Constraint, cost and bounds of the poses, as compiled code reads them. Made by ``search_problem``."""

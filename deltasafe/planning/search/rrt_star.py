@@ -26,8 +26,6 @@ from deltasafe.planning.search.neighbors import BUCKET_THRESHOLD, empty_neighbor
 from deltasafe.planning.search.problem import SearchProblem, require_budget
 from deltasafe.planning.search.tree import SearchTree, TreeArrays, empty_tree
 
-__all__ = ["RrtStar", "RrtStarSettings", "grow_tree"]
-
 Array = NDArray[np.float64]
 NEAR_SETS = ("k", "radius")
 CHUNK, CHUNK_WITHOUT_DEADLINE = 64, 4096

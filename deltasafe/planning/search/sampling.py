@@ -6,8 +6,6 @@ from deltasafe.compute.counter_rng import normal_pair, splitmix64, uniform
 from deltasafe.compute.numba_cache import inlined, kernel
 from deltasafe.planning.search.cost import ROOT, least_cost, pose_distance
 
-__all__ = ["draw_pose", "uniform_pose"]
-
 MAX_ATTEMPTS = 50
 
 

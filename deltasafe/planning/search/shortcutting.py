@@ -16,8 +16,6 @@ from deltasafe.planning.collision.segment_query import as_pose, segment_is_safe,
 from deltasafe.planning.search.cost import path_cost, pose_distance, segment_cost
 from deltasafe.planning.search.problem import SearchProblem, require_budget
 
-__all__ = ["refine_path"]
-
 Array = NDArray[np.float64]
 MAX_VERTICES = 64
 CHUNK = 16

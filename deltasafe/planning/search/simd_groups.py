@@ -15,8 +15,6 @@ from numba.extending import intrinsic
 
 from deltasafe.compute.numba_cache import inlined
 
-__all__ = ["GROUP", "append_within", "ctz", "le_mask", "popcount", "squared_distances"]
-
 GROUP = 64
 """Values per group: one bit each in a word."""
 

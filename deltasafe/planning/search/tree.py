@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import inlined
 
-__all__ = ["SearchTree", "TreeArrays", "attach", "empty_tree", "pose_of", "reparent", "set_pose"]
-
 Array = NDArray[np.float64]
 
 FIRST_CHILD, NEXT_SIBLING, PREVIOUS_SIBLING = range(3)

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-__all__ = ["SmoothPath", "blend_corners"]
-
 Array = NDArray[np.float64]
 
 MIN_TURN = 1e-6

@@ -23,8 +23,6 @@ from deltasafe.planning.collision.segment_tests import (
 from deltasafe.planning.timing.corner_blending import SmoothPath, blend_corners
 from deltasafe.planning.tracking_bound import TrackingBound, tracking_of
 
-__all__ = ["SpeedProfile", "VelocitySettings", "schedule", "schedule_at_top_speed"]
-
 Array = NDArray[np.float64]
 CHORD_TOLERANCE_M = 0.00005
 MIN_SPACING_M = 1e-5

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.scene import Shape, Sphere
 
-__all__ = ["GaussianObstacle", "ObstacleArrays", "enclosing_obstacle", "obstacle_arrays"]
-
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from deltasafe.compute.numba_cache import compiled
 
-__all__ = ["JOINT_RISKS", "METHODS", "collision_probability_of_ball", "risk"]
-
 METHODS = ("chance_constraint", "max_probability", "bounding_volume", "exact")
 """Zhu and Alonso-Mora 2019; Park, Park and Manocha 2018; Kamel 2017; and the Gaussian integral itself."""
 CHANCE_CONSTRAINT, MAX_PROBABILITY, BOUNDING_VOLUME, EXACT = range(len(METHODS))

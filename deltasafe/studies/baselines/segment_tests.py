@@ -26,8 +26,6 @@ from deltasafe.studies.baselines.probability import (
     risk,
 )
 
-__all__ = ["GaussianCheckSettings", "GaussianTest", "GaussianTestInView", "gaussian_test"]
-
 NEGLIGIBLE = 1e-9
 """Fraction of delta that the noisy-OR counts for each culled obstacle."""
 

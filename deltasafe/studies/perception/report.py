@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from deltasafe.perception.data.augmented_set import AugmentedSet
 
-__all__ = ["SECTIONS", "study_values", "write_study"]
-
 SECTIONS = ("schemes", "ensemble_size", "ablation")
 
 _PACKAGE = "deltasafe.studies.perception"

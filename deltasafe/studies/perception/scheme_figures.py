@@ -11,8 +11,6 @@ from deltasafe.perception.calibration.curve_drawing import BLUE, GRAY, ORANGE, R
 from deltasafe.reporting.panels import style_axes
 from deltasafe.studies.perception.tables import SCHEME_TITLES, AblationRow, SchemeRow, best_rows
 
-__all__ = ["ablation_figure", "scheme_figure", "scheme_tables_figure"]
-
 _PRINTED = {
     "pixel_accuracy": ("PA [%]", 1e2),
     "miou": ("mIoU [%]", 1e2),

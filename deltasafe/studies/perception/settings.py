@@ -6,8 +6,6 @@ from deltasafe.errors import SettingsError
 from deltasafe.perception.data.augmentation.settings import METHOD_NAMES
 from deltasafe.perception.data.schemes import SCHEMES
 
-__all__ = ["Cell", "StudySettings"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Cell:

@@ -29,8 +29,6 @@ from deltasafe.perception.training.train_ensemble import MemberJob, train_member
 from deltasafe.perception.training.train_member import StepReport, pick_device, training_identity
 from deltasafe.studies.perception.settings import Cell, StudySettings
 
-__all__ = ["OnStep", "StackedPredictions", "Study"]
-
 OnStep = Callable[[str, StepReport], None]
 
 

@@ -19,18 +19,6 @@ from deltasafe.perception.calibration.reliability import bootstrap_weights
 from deltasafe.perception.calibration.report import CalibrationReport
 from deltasafe.studies.perception.settings import Cell, StudySettings
 
-__all__ = [
-    "SCHEME_TITLES",
-    "AblationRow",
-    "Reports",
-    "SchemeRow",
-    "ablation_rows",
-    "best_rows",
-    "missing_cells",
-    "ours_is_best",
-    "scheme_rows",
-]
-
 SCHEME_TITLES = {
     "cutout": "Cutout",
     "mixup": "Mixup",

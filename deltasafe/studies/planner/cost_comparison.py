@@ -21,8 +21,6 @@ from deltasafe.studies.planner.scenes import cluttered_scene, simple_scene
 from deltasafe.studies.planner.settings import ComparisonSettings
 from deltasafe.studies.resumable_jobs import Batch, Effort, run_batches
 
-__all__ = ["MEASURES", "SCENES", "Comparison", "n_plans", "run_comparison"]
-
 Array = NDArray[np.float64]
 
 SCENES = ("simple", "cluttered")

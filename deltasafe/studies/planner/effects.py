@@ -15,8 +15,6 @@ from deltasafe.studies.planner.methods import MAIN
 from deltasafe.studies.planner.paper_curves import paper_curves
 from deltasafe.studies.planner.timing import TIMED, Timing
 
-__all__ = ["OTHERS", "Effect", "effects_of_cost", "effects_of_time"]
-
 Array = NDArray[np.float64]
 SIGNIFICANT = 2.0
 """A difference of means counts if it exceeds this many standard errors."""

@@ -16,8 +16,6 @@ from deltasafe.studies.planner.paper_curves import paper_curves
 from deltasafe.studies.planner.scenes import PAPER_UNIT_M
 from deltasafe.studies.planner.timing import Timing
 
-__all__ = ["plot_cost", "plot_references", "plot_time"]
-
 COLORS = baselines.COLORS | {"chance_constraint_each": "#8a8f98", "exact": "#b07aa1", "equal_margin": "#e08a1e"}
 LEVEL = r"$\tilde d,\ 2\sigma$  [0.1 m]"
 

@@ -25,8 +25,6 @@ from deltasafe.studies.baselines import LABELS, GaussianCheckSettings, enclosing
 from deltasafe.studies.planner.scenes import GOAL, HIGHEST_POSE, LOWEST_POSE, START, WORKSPACE_M, EllipticDisc
 from deltasafe.studies.planner.settings import SearchSettings
 
-__all__ = ["MAIN", "REFERENCES", "Method", "build_field", "build_test", "compared_methods", "run_search"]
-
 MAIN = ("ours", "chance_constraint", "bounding_volume", "max_probability")
 """The four methods of Fig. 5."""
 

@@ -6,8 +6,6 @@ from typing import Any
 
 from deltasafe.io.storage import read_json
 
-__all__ = ["paper_curves"]
-
 
 @functools.cache
 def paper_curves() -> dict[str, Any]:

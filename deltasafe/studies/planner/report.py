@@ -15,8 +15,6 @@ from deltasafe.studies.planner.methods import MAIN, REFERENCES, build_field, bui
 from deltasafe.studies.planner.scenes import EllipticDisc, cluttered_scene
 from deltasafe.studies.planner.timing import TIMED, Timing
 
-__all__ = ["figures_of", "write_report"]
-
 Table = tuple[list[str], list[list[str]]]
 
 

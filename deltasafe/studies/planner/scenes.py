@@ -13,20 +13,6 @@ from deltasafe.errors import SettingsError
 from deltasafe.planning import ToolBody
 from deltasafe.scene import Cuboid, Shape, Sphere
 
-__all__ = [
-    "GOAL",
-    "HIGHEST_POSE",
-    "LOWEST_POSE",
-    "PAPER_UNIT_M",
-    "START",
-    "WORKSPACE_M",
-    "EllipticDisc",
-    "StudyScene",
-    "cluttered_scene",
-    "crowded_scene",
-    "simple_scene",
-]
-
 Array = NDArray[np.float64]
 
 PAPER_UNIT_M = 0.1

@@ -22,8 +22,6 @@ from deltasafe.reporting.panels import new_figure, save_figure
 from deltasafe.scene import OccupancyGrid
 from deltasafe.trials.motion_figure import body_outlines
 
-__all__ = ["search_from_above", "search_in_space"]
-
 Array = NDArray[np.float64]
 INK, PATH, UNSAFE, BODY, SOLID = "#1b1f24", "#0a7d6c", "#d1495b", "#2b6cb0", "#dd7f8b"
 LARGEST_CELLS = 96

@@ -6,8 +6,6 @@ import math
 from deltasafe.errors import SettingsError
 from deltasafe.studies.planner.scenes import PAPER_UNIT_M
 
-__all__ = ["ComparisonSettings", "SearchSettings", "TimingSettings"]
-
 
 @dataclasses.dataclass(frozen=True)
 class SearchSettings:

@@ -19,8 +19,6 @@ from deltasafe.studies.planner.scenes import crowded_scene
 from deltasafe.studies.planner.settings import TimingSettings
 from deltasafe.studies.resumable_jobs import Batch, Effort, run_batches
 
-__all__ = ["TIMED", "Timing", "run_timing"]
-
 Array = NDArray[np.float64]
 
 TIMED = (

@@ -5,8 +5,6 @@ from numpy.typing import NDArray
 
 from deltasafe.studies.safety.settings import CameraSettings
 
-__all__ = ["expose", "photograph_again"]
-
 
 def photograph_again(rgb: NDArray[np.uint8], settings: CameraSettings, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Simulate another image (H, W, 3) of the same camera, compressed and decoded again."""

@@ -13,19 +13,6 @@ from deltasafe.studies.safety.runs import BY_SPEED, N_BINS, SPEED_EDGES_MPS
 from deltasafe.studies.safety.settings import METHODS, PARAMETRIC
 from deltasafe.studies.safety.study import SafetyStudy
 
-__all__ = [
-    "MethodResult",
-    "Pairing",
-    "Rate",
-    "SpeedBin",
-    "by_speed",
-    "evaluate",
-    "evaluate_all",
-    "failures",
-    "pair",
-    "touched",
-]
-
 
 @dataclasses.dataclass(frozen=True)
 class Rate:

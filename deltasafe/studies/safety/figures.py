@@ -14,8 +14,6 @@ from deltasafe.studies import baselines
 from deltasafe.studies.safety.evidence import Rate, by_speed, evaluate
 from deltasafe.studies.safety.study import SafetyStudy
 
-__all__ = ["plot_clearances", "plot_rates", "plot_speed"]
-
 COLORS = baselines.COLORS | {"single_member": "#e08a1e", "top_speed": "#8a4fbf"}
 INK, GRAY = "#1b1f24", "#8a8f98"
 ZERO_AT = 6e-4

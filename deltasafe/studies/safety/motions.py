@@ -25,8 +25,6 @@ from deltasafe.planning.scc_rrt_star import search_bounds
 from deltasafe.planning.timing.velocity_schedule import CHORD_TOLERANCE_M
 from deltasafe.studies.baselines import GaussianCheckSettings, GaussianObstacle, GaussianTestInView, gaussian_test
 
-__all__ = ["OUTCOMES", "RefusalError", "parametric_motion", "scheduled_motion", "top_speed_motion"]
-
 OUTCOMES = (
     "executed",
     "no task",

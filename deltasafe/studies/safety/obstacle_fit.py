@@ -23,8 +23,6 @@ from deltasafe.scene import Camera
 from deltasafe.studies.baselines import GaussianObstacle
 from deltasafe.studies.baselines.obstacles import isotropic_covariance
 
-__all__ = ["MIN_SIGMA_M", "fit_obstacles"]
-
 Array = NDArray[np.float64]
 MIN_SIGMA_M = 0.001
 """Lower limit of sigma, the resolution of the camera: 1.5 pixels, half a meter above the table."""

@@ -14,8 +14,6 @@ from deltasafe.studies.safety.runs import replay
 from deltasafe.studies.safety.settings import PARAMETRIC
 from deltasafe.studies.safety.study import SafetyStudy
 
-__all__ = ["figures_of", "write_report"]
-
 
 def figures_of(study: SafetyStudy) -> dict[str, float]:
     """Collect the figures of a record, by name. Names without a method belong to ours.
@@ -113,5 +111,5 @@ def _markdown(study: SafetyStudy, films: dict[int, str]) -> str:
         pose_spacing_m=settings.motion.v_max_mps / settings.execution.record_rate_hz,
         failures=failures(study).tolist(),
         films=films,
-        **{name: getattr(tables, name) for name in tables.__all__},
+        tables=tables,
     )

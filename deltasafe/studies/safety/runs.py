@@ -31,8 +31,6 @@ from deltasafe.studies.safety.predictors import Prediction, Predictor
 from deltasafe.studies.safety.scenarios import draw_scenario, true_mask
 from deltasafe.studies.safety.settings import METHODS, PARAMETRIC, SafetyStudySettings
 
-__all__ = ["BY_SPEED", "COLUMNS", "SPEED_EDGES_MPS", "STAGES", "SceneRef", "replay", "run_scenario"]
-
 SPEED_EDGES_MPS = (0.0, 0.005, 0.02, 0.05, 0.1, 0.15, np.inf)
 N_BINS = len(SPEED_EDGES_MPS) - 1
 

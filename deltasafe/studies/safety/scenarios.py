@@ -12,8 +12,6 @@ from deltasafe.scene import LoggedScene
 from deltasafe.studies.safety.camera_noise import photograph_again
 from deltasafe.studies.safety.settings import SafetyStudySettings, TaskSettings
 
-__all__ = ["Scenario", "draw_scenario", "draw_task", "true_mask"]
-
 ATTEMPTS = 4000
 """Pairs of start and goal that are drawn for a task."""
 

@@ -4,12 +4,10 @@ import dataclasses
 import math
 
 from deltasafe.errors import SettingsError
-from deltasafe.execution.simulate import ExecutionSettings
+from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import FieldSettings
 from deltasafe.studies import baselines
-
-__all__ = ["LABELS", "METHODS", "PARAMETRIC", "CameraSettings", "SafetyStudySettings", "TaskSettings"]
 
 PARAMETRIC = ("chance_constraint", "bounding_volume", "max_probability")
 """The published methods; their obstacles are ellipsoids at Gaussian positions."""

@@ -23,8 +23,6 @@ from deltasafe.studies.safety.predictors import FrozenEnsemblePredictor, Predict
 from deltasafe.studies.safety.runs import BY_SPEED, COLUMNS, STAGES, SceneRef, run_scenario
 from deltasafe.studies.safety.settings import LABELS, METHODS, SafetyStudySettings
 
-__all__ = ["SafetyStudy", "StudyInputs", "run_study"]
-
 MAX_SCENARIOS_WITHOUT_MOTION = 40
 """If no motion was executed in this many scenarios, the study fails."""
 

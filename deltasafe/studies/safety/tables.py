@@ -8,17 +8,6 @@ from deltasafe.studies.safety.evidence import Rate, by_speed, evaluate_all, fail
 from deltasafe.studies.safety.settings import LABELS, METHODS
 from deltasafe.studies.safety.study import SafetyStudy
 
-__all__ = [
-    "clearance_table",
-    "ensemble_table",
-    "failure_table",
-    "millimeters",
-    "pair_table",
-    "rate_table",
-    "refusal_table",
-    "speed_table",
-]
-
 Table = tuple[list[str], list[list[str]]]
 MAX_FAILURES = 60
 """Failures that the report lists."""

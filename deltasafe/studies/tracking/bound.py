@@ -24,8 +24,6 @@ from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.studies.intervals import upper_bound
 from deltasafe.studies.tracking.tracking_errors import PHASES_OF_SPEED, Tracks
 
-__all__ = ["Coverage", "coverage_of", "fit_bound", "fit_constant", "fit_slope"]
-
 SPEED_EDGES_MPS = (0.0, 0.005, 0.02, 0.05, 0.1, 0.15, 0.2 + 1e-9)
 MIN_SAMPLES = 100
 """Samples that a bin of speed needs for a quantile."""

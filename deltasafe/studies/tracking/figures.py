@@ -10,8 +10,6 @@ from deltasafe.reporting.panels import new_figure, save_figure
 from deltasafe.studies.tracking.study import TrackingStudy
 from deltasafe.studies.tracking.tracking_errors import PHASES_OF_SPEED
 
-__all__ = ["plot_tracking"]
-
 COLORS = ("#5b8db8", "#e08a1e", "#8e6bb0", "#2a9d4a")
 BOUND, PAPER = "#1b1f24", "#C8102E"
 MAX_SAMPLES = 40_000

@@ -9,8 +9,6 @@ from deltasafe.reporting.templates import render
 from deltasafe.studies.tracking.bound import Coverage, coverage_of
 from deltasafe.studies.tracking.study import PAPER_MIN_SPEED_MPS, TrackingStudy
 
-__all__ = ["write_report"]
-
 
 def write_report(study: TrackingStudy, folder: str | pathlib.Path) -> dict[str, float]:
     """Write report.md, tracking.png and figures.json atomically; return the figures."""

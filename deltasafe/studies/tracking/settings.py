@@ -6,8 +6,6 @@ import math
 from deltasafe.errors import SettingsError
 from deltasafe.planning.body import ToolBody
 
-__all__ = ["TrackingStudySettings"]
-
 
 @dataclasses.dataclass(frozen=True)
 class TrackingStudySettings:

@@ -17,8 +17,6 @@ from deltasafe.studies.tracking.bound import Coverage, coverage_of, fit_bound, f
 from deltasafe.studies.tracking.settings import TrackingStudySettings
 from deltasafe.studies.tracking.tracking_errors import Tracks, record_runs
 
-__all__ = ["PAPER_MIN_SPEED_MPS", "TrackingStudy", "run_study"]
-
 FORMAT = 1
 PAPER_MIN_SPEED_MPS = 0.01
 """The paper's line is evaluated at no lower speed, because it is 0 at rest."""

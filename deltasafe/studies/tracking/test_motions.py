@@ -14,8 +14,6 @@ from deltasafe.errors import PlanningError
 from deltasafe.geometry import Trajectory
 from deltasafe.studies.tracking.settings import TrackingStudySettings
 
-__all__ = ["KINDS", "TestMotion", "draw_motion"]
-
 Array = NDArray[np.float64]
 
 KINDS = ("line", "arc", "turn", "line and turn")

@@ -15,8 +15,6 @@ from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.studies.tracking.settings import TrackingStudySettings
 from deltasafe.studies.tracking.test_motions import draw_motion
 
-__all__ = ["PHASES_OF_SPEED", "Tracks", "record_runs"]
-
 PHASES_OF_SPEED = ("steady", "speeding up", "braking", "just after braking")
 AFTER_BRAKING_S = 0.2
 MIN_ACCELERATION_MPS2 = 0.02

@@ -6,8 +6,6 @@ import numpy as np
 from deltasafe.perception.data.augmentation.arm import Arm
 from deltasafe.perception.data.augmentation.textures import hsv_to_rgb, random_color, smooth_noise
 
-__all__ = ["add_rings", "add_sleeve", "add_strap"]
-
 P_SLEEVE = 0.35
 P_STRAP = 0.15
 P_RINGS = 0.2

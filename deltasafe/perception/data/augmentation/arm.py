@@ -5,8 +5,6 @@ import dataclasses
 import cv2
 import numpy as np
 
-__all__ = ["Arm"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Arm:

@@ -16,8 +16,6 @@ from deltasafe.perception.data.augmentation.noise import degrade, random_erase
 from deltasafe.perception.data.augmentation.settings import METHOD_NAMES, AugmentationSettings
 from deltasafe.perception.data.labeled_images import resize_labeled
 
-__all__ = ["AugmentedImage", "augment", "chosen_methods", "cut_out_hand", "image_seed", "pixel_digest"]
-
 
 @dataclasses.dataclass(frozen=True)
 class AugmentedImage:

@@ -12,8 +12,6 @@ from deltasafe.perception.data.augmentation.clutter import add_clutter
 from deltasafe.perception.data.augmentation.textures import light_gradient, random_surface, smooth_noise
 from deltasafe.perception.data.labeled_images import IMAGE_SUFFIXES, read_or_none, read_rgb
 
-__all__ = ["Backgrounds", "draw_background"]
-
 P_PHOTOGRAPH = 0.4
 P_SECOND_SURFACE = 0.2
 P_CLUTTER = 0.5

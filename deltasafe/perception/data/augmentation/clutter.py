@@ -6,8 +6,6 @@ import numpy as np
 from deltasafe.perception.data.augmentation.skin import random_skin_color
 from deltasafe.perception.data.augmentation.textures import random_color, smooth_noise
 
-__all__ = ["add_clutter"]
-
 P_SKIN_COLORED = 0.15
 
 

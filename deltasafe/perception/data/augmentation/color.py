@@ -5,8 +5,6 @@ import numpy as np
 from deltasafe.perception.data.augmentation.skin import N_TONES, recolor, tone_lab
 from deltasafe.perception.data.augmentation.textures import light_gradient
 
-__all__ = ["recolor_hand", "simulate_camera"]
-
 
 def recolor_hand(
     rng: np.random.Generator, rgb: np.ndarray, alpha: np.ndarray

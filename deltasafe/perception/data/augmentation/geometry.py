@@ -11,8 +11,6 @@ from typing import TypeAlias
 import cv2
 import numpy as np
 
-__all__ = ["WARPS", "Warp", "WarpDraw", "sample"]
-
 Warp: TypeAlias = Callable[[np.ndarray], np.ndarray]
 WarpDraw: TypeAlias = tuple[Warp, np.ndarray, dict[str, float | int | str]]
 """The warp, the new center of the hand, and the drawn parameters."""

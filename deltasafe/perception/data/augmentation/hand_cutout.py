@@ -8,8 +8,6 @@ import numpy as np
 from deltasafe.perception.data.augmentation.arm import Arm
 from deltasafe.perception.data.labeled_images import resize_labeled
 
-__all__ = ["HandCutout"]
-
 
 @dataclasses.dataclass(frozen=True)
 class HandCutout:

@@ -10,8 +10,6 @@ from deltasafe.perception.data.augmentation.background import Backgrounds, draw_
 from deltasafe.perception.data.augmentation.geometry import sample
 from deltasafe.perception.data.augmentation.hand_cutout import HandCutout
 
-__all__ = ["Layers"]
-
 P_SHADOW = 0.65
 
 

@@ -6,8 +6,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-__all__ = ["degrade", "random_erase"]
-
 ERASED_FRACTIONS = (0.1, 0.3)
 NOISE_DEVIATIONS = (1.5, 12.0)
 

@@ -4,8 +4,6 @@ import dataclasses
 
 from deltasafe.errors import SettingsError
 
-__all__ = ["METHOD_NAMES", "AugmentationSettings", "check_minimum"]
-
 METHOD_NAMES = ("background", "flip", "rotation", "grid_distortion", "cropping", "color", "noise", "random_erase")
 
 

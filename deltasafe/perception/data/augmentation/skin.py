@@ -3,8 +3,6 @@
 import cv2
 import numpy as np
 
-__all__ = ["N_TONES", "random_skin_color", "recolor", "tone_lab"]
-
 N_TONES = 20
 _LIGHTNESS = np.linspace(19.0, 84.0, N_TONES)
 # a* (green to red) and b* (blue to yellow) at these values of L*

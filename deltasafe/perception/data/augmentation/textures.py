@@ -3,8 +3,6 @@
 import cv2
 import numpy as np
 
-__all__ = ["SURFACES", "hsv_to_rgb", "light_gradient", "random_color", "random_surface", "smooth_noise"]
-
 
 def random_surface(rng: np.random.Generator, width: int, height: int) -> tuple[np.ndarray, str]:
     """Draw a surface ``(H, W, 3)`` float32 in [0, 1]; returns it with the name of its kind."""

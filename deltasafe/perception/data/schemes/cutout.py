@@ -5,8 +5,6 @@ import numpy as np
 from deltasafe.perception.data.schemes.originals import Originals, Variant
 from deltasafe.perception.data.schemes.settings import CutoutSettings
 
-__all__ = ["cutout"]
-
 
 def cutout(originals: Originals, i: int, settings: CutoutSettings, rng: np.random.Generator) -> Variant:
     """Fill a square of the ``i``-th original with the mean color of all originals.

@@ -5,8 +5,6 @@ import numpy as np
 from deltasafe.perception.data.schemes.originals import Originals, Variant
 from deltasafe.perception.data.schemes.settings import FlipRotate90Settings
 
-__all__ = ["apply_symmetry", "flip_rotate90", "pad_to_square"]
-
 
 def flip_rotate90(originals: Originals, i: int, settings: FlipRotate90Settings, rng: np.random.Generator) -> Variant:
     """Apply one of the eight symmetries, uniform and with replacement: 50 originals have at most 400 variants.

@@ -7,8 +7,6 @@ from deltasafe.perception.data.labeled_images import resize_labeled
 from deltasafe.perception.data.schemes.originals import Originals, Variant
 from deltasafe.perception.data.schemes.settings import FlipRotateCropSettings
 
-__all__ = ["crop_matrix", "flip_rotate_crop"]
-
 
 def flip_rotate_crop(
     originals: Originals, i: int, settings: FlipRotateCropSettings, rng: np.random.Generator

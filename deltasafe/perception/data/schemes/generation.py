@@ -17,8 +17,6 @@ from deltasafe.perception.data.schemes.mixup import mixup
 from deltasafe.perception.data.schemes.originals import Originals, Variant
 from deltasafe.perception.data.schemes.settings import ComparedSettings, SchemeSettings, scheme_name
 
-__all__ = ["VariantGenerator", "size_and_mask_dtype", "variant_generator"]
-
 VariantGenerator: TypeAlias = Callable[[int], list[AugmentedImage]]
 """Returns all variants of the original with this index, always the same bytes, in any process and any order."""
 

@@ -6,8 +6,6 @@ from numpy.typing import NDArray
 from deltasafe.perception.data.schemes.originals import Originals, Variant
 from deltasafe.perception.data.schemes.settings import MixupSettings
 
-__all__ = ["mixup", "soft_labels"]
-
 SOFT_MASK_MAX = np.uint16(65535)
 """Soft masks are 16-bit fixed point: 0 = no hand, 65535 = hand."""
 

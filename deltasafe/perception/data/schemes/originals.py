@@ -9,8 +9,6 @@ import numpy as np
 
 from deltasafe.perception.data.labeled_images import LabeledImageSet, resize_labeled
 
-__all__ = ["Originals", "Variant", "crop_and_resize"]
-
 Variant: TypeAlias = tuple[np.ndarray, np.ndarray, list[dict[str, object]]]
 """Image, mask, and the operations that were applied, as a compared scheme returns them."""
 

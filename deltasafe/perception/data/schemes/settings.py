@@ -7,17 +7,6 @@ from typing import TypeAlias
 from deltasafe.errors import SettingsError
 from deltasafe.perception.data.augmentation.settings import AugmentationSettings, check_minimum
 
-__all__ = [
-    "SCHEMES",
-    "ComparedSettings",
-    "CutoutSettings",
-    "FlipRotate90Settings",
-    "FlipRotateCropSettings",
-    "MixupSettings",
-    "SchemeSettings",
-    "scheme_name",
-]
-
 
 @dataclasses.dataclass(frozen=True)
 class ComparedSettings:
