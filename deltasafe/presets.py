@@ -10,6 +10,7 @@ from deltasafe.perception.data.augmentation.settings import AugmentationSettings
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings, PromotionSettings, TrainingSettings
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import FieldSettings
+from deltasafe.setting_ranges import check_range
 from deltasafe.studies.perception import StudySettings
 from deltasafe.studies.planner.settings import ComparisonSettings, TimingSettings
 from deltasafe.studies.safety.settings import SafetyStudySettings
@@ -48,9 +49,8 @@ class Preset:
     n_films: int = 3
 
     def __post_init__(self) -> None:
-        for name, least in (("n_members", 1), ("n_scenes", 0), ("n_films", 0)):
-            if getattr(self, name) < least:
-                raise SettingsError(f"{name} must be at least {least}, got {getattr(self, name)}")
+        check_range(self, "[1, inf)", "n_members")
+        check_range(self, "[0, inf)", "n_scenes", "n_films")
 
 
 PRESETS = {

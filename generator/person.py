@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from deltasafe.errors import SettingsError
+from deltasafe.setting_ranges import check_range
 from generator.aliases import Array
 from generator.arm import ArmModel
 
@@ -39,9 +40,7 @@ class Body:
     forearm_fat: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("masculinity", "age", "muscle", "weight"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise SettingsError(f"{name} must lie between 0 and 1, got {getattr(self, name)}")
+        check_range(self, "[0, 1]", "masculinity", "age", "muscle", "weight")
         if len(self.ancestry) != 3 or min(self.ancestry) < 0 or sum(self.ancestry) <= 0:
             raise SettingsError(f"ancestry must be three weights with a positive sum, got {self.ancestry}")
 
@@ -70,8 +69,7 @@ class Skin:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.tone <= 9:
-            raise SettingsError(f"tone must lie between 0 (lightest) and 9 (darkest), got {self.tone}")
+        check_range(self, "[0, 9]", "tone")
 
 
 @dataclasses.dataclass(frozen=True)

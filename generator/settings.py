@@ -3,6 +3,7 @@
 import dataclasses
 
 from deltasafe.errors import SettingsError
+from deltasafe.setting_ranges import check_choice, check_range
 from generator.backend import VARIANTS
 from generator.pose import POSES
 
@@ -36,17 +37,13 @@ class PictureSettings:
     variant: str = "scalar_rgb"
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise SettingsError(f"seed must not be negative, got {self.seed}")
-        for name in ("width", "height", "samples_per_pixel"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
+        check_range(self, "[0, inf)", "seed")
+        check_range(self, "[1, inf)", "width", "height", "samples_per_pixel")
         if len(self.tones) != 2 or not 0 <= self.tones[0] <= self.tones[1] <= 9:
             raise SettingsError(f"tones must be a range within 0 and 9, got {self.tones}")
         if unknown := sorted(set(self.poses) - POSES.keys()):
             raise SettingsError(f"poses must be names out of {sorted(POSES)}, got {unknown}")
-        if self.variant not in VARIANTS:
-            raise SettingsError(f"variant must be one of {VARIANTS}, got {self.variant!r}")
+        check_choice(self, VARIANTS, "variant")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,9 +105,7 @@ class SceneSettings(PictureSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("camera_height_m", "tool_x_m", "tool_z_m", "clearance_m"):
-            if not getattr(self, name) > 0:
-                raise SettingsError(f"{name} must be positive, got {getattr(self, name)}")
+        check_range(self, "(0, inf)", "camera_height_m", "tool_x_m", "tool_z_m", "clearance_m")
         if not self.poses:
             raise SettingsError("poses must name at least one pose for scenes")
 

@@ -8,13 +8,13 @@ import contextlib
 import dataclasses
 import importlib.util
 import logging
-import math
 import re
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
 from deltasafe.compute.executor import RETRIES, Needs, Task, worker_lost_error
 from deltasafe.errors import SettingsError
+from deltasafe.setting_ranges import check_range
 
 _log = logging.getLogger(__name__)
 _ADDRESS = re.compile(r"(ray://)?[\w.-]+:\d{1,5}")
@@ -39,10 +39,8 @@ class RaySettings:
     def __post_init__(self) -> None:
         if self.address != "auto" and not _ADDRESS.fullmatch(self.address):
             raise SettingsError(f"a Ray address is auto, host:port or ray://host:port, got {self.address!r}")
-        if self.cpus_per_member < 1:
-            raise SettingsError(f"cpus_per_member must be at least 1, got {self.cpus_per_member}")
-        if not (math.isfinite(self.gpus_per_member) and 0 <= self.gpus_per_member <= 1):
-            raise SettingsError(f"gpus_per_member must lie in [0, 1], got {self.gpus_per_member}")
+        check_range(self, "[1, inf)", "cpus_per_member")
+        check_range(self, "[0, 1]", "gpus_per_member")
 
 
 class RayExecutor:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.execution.arm import ArmState, Dynamics
+from deltasafe.setting_ranges import check_range
 
 Array = NDArray[np.float64]
 
@@ -40,9 +41,7 @@ class ImpedanceSettings:
     posture_frequency_radps: float = 10.0
 
     def __post_init__(self) -> None:
-        for name, value in dataclasses.asdict(self).items():
-            if not (math.isfinite(value) and value > 0):
-                raise SettingsError(f"{name} must be positive, got {value}")
+        check_range(self, "(0, inf)", *dataclasses.asdict(self))
 
 
 @dataclasses.dataclass(frozen=True)

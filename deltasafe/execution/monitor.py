@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 
-from deltasafe.errors import SettingsError
 from deltasafe.execution.arm import ArmState, measurement_fault
 from deltasafe.execution.camera_watch import CameraWatch
 from deltasafe.execution.impedance import TaskReference, pose_error
@@ -22,6 +21,7 @@ from deltasafe.planning import (
     is_segment_safe,
     segment_test,
 )
+from deltasafe.setting_ranges import check_range
 
 _MAX_MARGIN_M = 0.02
 _CHECK_EVERY_S = 0.01
@@ -45,8 +45,7 @@ class MonitorLimits:
     camera: CameraWatch | None = None
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.v_min_mps) and self.v_min_mps > 0):
-            raise SettingsError(f"v_min_mps must be positive, got {self.v_min_mps}")
+        check_range(self, "(0, inf)", "v_min_mps")
 
     @classmethod
     def of(

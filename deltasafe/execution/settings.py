@@ -1,10 +1,9 @@
 """Settings of an execution."""
 
 import dataclasses
-import math
 
-from deltasafe.errors import SettingsError
 from deltasafe.execution.impedance import ImpedanceSettings
+from deltasafe.setting_ranges import check_range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,11 +35,5 @@ class ExecutionSettings:
     impedance: ImpedanceSettings = dataclasses.field(default_factory=ImpedanceSettings)
 
     def __post_init__(self) -> None:
-        for name in ("approach_m", "settle_s", "monitor_margin_m", "brake_delay_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise SettingsError(f"{name} must be finite and not negative, got {value}")
-        for name in ("approach_speed_mps", "record_rate_hz", "max_look_age_s", "max_frame_age_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise SettingsError(f"{name} must be positive, got {value}")
+        check_range(self, "[0, inf)", "approach_m", "settle_s", "monitor_margin_m", "brake_delay_s")
+        check_range(self, "(0, inf)", "approach_speed_mps", "record_rate_hz", "max_look_age_s", "max_frame_age_s")

@@ -5,8 +5,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from deltasafe.errors import SettingsError
 from deltasafe.io.records import from_json
+from deltasafe.setting_ranges import check_choice, check_range
 
 ARCHITECTURES = ("deeplabv3", "deeplabv3plus")
 BACKBONES = ("efficientnet_lite0", "mobilenet_v3_large", "resnet50")
@@ -41,18 +41,9 @@ class NetworkSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "atrous_rates", tuple(self.atrous_rates))
-        if self.architecture not in ARCHITECTURES:
-            raise SettingsError(f"architecture must be one of {ARCHITECTURES}, got {self.architecture!r}")
-        if self.backbone not in BACKBONES:
-            raise SettingsError(f"backbone must be one of {BACKBONES}, got {self.backbone!r}")
-        if not 1 <= self.pyramid_channels <= _MAX_SIZE:
-            raise SettingsError(
-                f"pyramid_channels must be positive and at most {_MAX_SIZE}, got {self.pyramid_channels}"
-            )
-        if not self.atrous_rates or not all(1 <= rate <= _MAX_SIZE for rate in self.atrous_rates):
-            raise SettingsError(
-                f"atrous_rates must be at least one positive number, of at most {_MAX_SIZE}, got {self.atrous_rates}"
-            )
+        check_choice(self, ARCHITECTURES, "architecture")
+        check_choice(self, BACKBONES, "backbone")
+        check_range(self, f"[1, {_MAX_SIZE}]", "pyramid_channels", "atrous_rates")
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "NetworkSettings":
@@ -101,25 +92,14 @@ class TrainingSettings:
     checkpoint_every_steps: int = 60
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "checkpoint_every_steps"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.batch_size < 2:
-            raise SettingsError(f"batch_size must be at least 2 (batch normalization), got {self.batch_size}")
-        if not 0 <= self.small_share <= 1:
-            raise SettingsError(f"small_share must lie in [0, 1], got {self.small_share}")
-        if not 0 < self.small_scale <= 1:
-            raise SettingsError(f"small_scale must lie in (0, 1], got {self.small_scale}")
-        if not (math.isfinite(self.peak_learning_rate) and self.peak_learning_rate > 0):
-            raise SettingsError(f"peak_learning_rate must be positive, got {self.peak_learning_rate}")
-        if self.schedule not in SCHEDULES:
-            raise SettingsError(f"schedule must be one of {SCHEDULES}, got {self.schedule!r}")
-        if not 0 < self.epoch_decay <= 1:
-            raise SettingsError(f"epoch_decay must lie in (0, 1], got {self.epoch_decay}")
-        if not self.weight_decay >= 0:
-            raise SettingsError(f"weight_decay must not be negative, got {self.weight_decay}")
-        if self.precision not in PRECISIONS:
-            raise SettingsError(f"precision must be one of {PRECISIONS}, got {self.precision!r}")
+        check_range(self, "[1, inf)", "epochs", "checkpoint_every_steps")
+        check_range(self, "[2, inf)", "batch_size")  # batch normalization needs two
+        check_range(self, "[0, 1]", "small_share")
+        check_range(self, "(0, 1]", "small_scale", "epoch_decay")
+        check_range(self, "(0, inf)", "peak_learning_rate")
+        check_range(self, "[0, inf)", "weight_decay")
+        check_choice(self, SCHEDULES, "schedule")
+        check_choice(self, PRECISIONS, "precision")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,12 +118,7 @@ class InferenceSettings:
     height: int = 192
 
     def __post_init__(self) -> None:
-        if self.width < 2 * _STRIDE or self.height < 2 * _STRIDE:
-            raise SettingsError(f"inference size must be at least 32 x 32, got {self.width} x {self.height}")
-        if max(self.width, self.height) > _MAX_SIZE:
-            raise SettingsError(
-                f"inference size must be at most {_MAX_SIZE} per side, got {self.width} x {self.height}"
-            )
+        check_range(self, f"[{2 * _STRIDE}, {_MAX_SIZE}]", "width", "height")
 
     def network_size(self, height: int, width: int) -> tuple[int, int]:
         """Return the (height, width) that an image of ``height`` x ``width`` pixels is scaled to."""
@@ -174,10 +149,6 @@ class PromotionSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("nll_margin", "brier_margin", "miou_margin"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise SettingsError(f"{name} must be finite and not negative, got {getattr(self, name)}")
-        if not 0.5 < self.level < 1.0:
-            raise SettingsError(f"level must lie in (0.5, 1), got {self.level}")
-        if self.n_bootstrap < 100:
-            raise SettingsError(f"n_bootstrap must be at least 100 for a 95 % bound, got {self.n_bootstrap}")
+        check_range(self, "[0, inf)", "nll_margin", "brier_margin", "miou_margin")
+        check_range(self, "(0.5, 1)", "level")
+        check_range(self, "[100, inf)", "n_bootstrap")  # fewer give no 95 % bound

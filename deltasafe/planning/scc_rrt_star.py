@@ -28,6 +28,7 @@ from deltasafe.planning.search.problem import search_problem
 from deltasafe.planning.search.rrt_star import RrtStar, RrtStarSettings
 from deltasafe.planning.search.shortcutting import refine_path
 from deltasafe.planning.tracking_bound import TrackingBound, tracking_of
+from deltasafe.setting_ranges import check_choice, check_range
 
 Array = NDArray[np.float64]
 Counts = tuple[int, int, int]
@@ -86,26 +87,16 @@ class PlannerSettings(CheckSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.delta < 1:
-            raise SettingsError(f"delta must be in (0, 1), got {self.delta}")
+        check_range(self, "(0, 1)", "delta")
         if not all(isinstance(count, numbers.Integral) for count in (self.n_iterations, self.n_refinements)):
             raise SettingsError(
                 f"n_iterations and n_refinements must be whole numbers, "
                 f"got {self.n_iterations!r} and {self.n_refinements!r}"
             )
-        if not (1 <= self.n_iterations <= 1_000_000 and self.n_refinements >= 0):
-            raise SettingsError(
-                f"n_iterations must be in [1, 1e6] and n_refinements not negative, "
-                f"got {self.n_iterations} and {self.n_refinements}"
-            )
-        if self.cost not in COSTS:
-            raise SettingsError(f"cost must be one of {COSTS}, got {self.cost!r}")
-        for name in ("v_min_mps", "rotation_weight_m2", "length_weight_m", "z_max_above_field_m"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise SettingsError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("time_limit_s", "reserve_m", "z_min_above_table_m"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise SettingsError(f"{name} must not be negative, got {getattr(self, name)}")
+        check_range(self, "[1, 1e6]", "n_iterations")
+        check_choice(self, COSTS, "cost")
+        check_range(self, "(0, inf)", "v_min_mps", "rotation_weight_m2", "length_weight_m", "z_max_above_field_m")
+        check_range(self, "[0, inf)", "n_refinements", "time_limit_s", "reserve_m", "z_min_above_table_m")
         if not 0 <= self.yaw_range_rad <= math.pi:
             raise SettingsError(f"yaw_range_rad must be in [0, pi], got {self.yaw_range_rad}")
         _ = self.rrt_star

@@ -1,12 +1,11 @@
 """gamma(v), the bound on the tracking error at reference speed v (assumption 1 of the paper)."""
 
 import dataclasses
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.errors import SettingsError
+from deltasafe.setting_ranges import check_range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,9 +19,7 @@ class TrackingBound:
     gamma1_s: float = 0.05
 
     def __post_init__(self) -> None:
-        for name, value in dataclasses.asdict(self).items():
-            if not (math.isfinite(value) and value >= 0):
-                raise SettingsError(f"{name} must be finite and not negative, got {value}")
+        check_range(self, "[0, inf)", *dataclasses.asdict(self))
 
     def error_m(self, speed_mps: NDArray[np.float64] | float) -> NDArray[np.float64]:
         """Return gamma(v), the largest workspace error in meters, at each speed in m/s."""

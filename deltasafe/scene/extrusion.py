@@ -11,6 +11,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.geometry import as_rows
 from deltasafe.scene.camera import Camera
 from deltasafe.scene.occupancy import OccupancyGrid
+from deltasafe.setting_ranges import check_range
 
 LEVELS = 5
 """Maximum pyramid: squares with edges of 1, 2, 4, 8 and 16 pixels."""
@@ -29,10 +30,8 @@ class FieldSettings:
     depth_margin_m: float = 0.01
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.voxel_m) and 0.0005 <= self.voxel_m <= 0.05):
-            raise SettingsError(f"voxel_m must be between 0.0005 and 0.05 m, got {self.voxel_m}")
-        if not (math.isfinite(self.depth_margin_m) and self.depth_margin_m >= 0):
-            raise SettingsError(f"depth_margin_m must not be negative, got {self.depth_margin_m}")
+        check_range(self, "[0.0005, 0.05]", "voxel_m")
+        check_range(self, "[0, inf)", "depth_margin_m")
 
 
 def grid_from_image(

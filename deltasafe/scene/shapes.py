@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import as_rows
 from deltasafe.scene.occupancy import MIN_VOXEL_M, OccupancyGrid
+from deltasafe.setting_ranges import check_range
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -25,8 +26,7 @@ class Sphere:
 
     def __post_init__(self) -> None:
         as_rows([self.center_m], 3, "center_m")
-        if not (math.isfinite(self.radius_m) and self.radius_m > 0):
-            raise SettingsError(f"radius_m must be positive, got {self.radius_m}")
+        check_range(self, "(0, inf)", "radius_m")
 
     @property
     def reach_m(self) -> float:

@@ -22,6 +22,7 @@ from deltasafe.perception.calibration.delta_support import (
 )
 from deltasafe.perception.calibration.metrics import ImageScores, MeanAndSd, Scores
 from deltasafe.perception.calibration.reliability import DELTA_GRID, ReliabilityCurve, delta_index
+from deltasafe.setting_ranges import check_range
 
 FORMAT_VERSION = 3
 
@@ -51,14 +52,9 @@ class CalibrationSettings:
     planning_delta: float = 0.05
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.planning_delta < 1.0:
-            raise SettingsError(f"planning_delta must lie in (0, 1), got {self.planning_delta}")
-        if not 0.0 < self.missed_hand_alpha < 1.0:
-            raise SettingsError(f"missed_hand_alpha must lie in (0, 1), got {self.missed_hand_alpha}")
-        if self.n_bootstrap < 100:
-            raise SettingsError(f"n_bootstrap must be at least 100 for a 95 % bound, got {self.n_bootstrap}")
-        if not 0.5 < self.level < 1.0:
-            raise SettingsError(f"level must lie in (0.5, 1), got {self.level}")
+        check_range(self, "(0, 1)", "planning_delta", "missed_hand_alpha")
+        check_range(self, "[100, inf)", "n_bootstrap")  # fewer give no 95 % bound
+        check_range(self, "(0.5, 1)", "level")
         if self.n_folds < 0 or self.n_folds == 1:
             raise SettingsError(f"n_folds must be 0 (leave one out) or at least 2, got {self.n_folds}")
 
@@ -325,9 +321,7 @@ class GateThresholds:
     missed_hand_rate: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, value in dataclasses.asdict(self).items():
-            if not 0.0 <= value <= 1.0:
-                raise SettingsError(f"{name} must lie in [0, 1], got {value}")
+        check_range(self, "[0, 1]", "pixel_accuracy", "miou", "missed_hand_rate")
 
 
 def gate(report: CalibrationReport, thresholds: GateThresholds) -> list[str]:

@@ -19,6 +19,7 @@ from deltasafe.planning.collision.discrete import ExactTest, SampledTest, StepPa
 from deltasafe.planning.collision.distance_field import DistanceField
 from deltasafe.planning.collision.scenario_samples import sample_pool
 from deltasafe.planning.collision.segment_query import as_pose, segment_passes
+from deltasafe.setting_ranges import check_choice, check_range
 
 METHODS = ("sampled", "exact", "continuous")
 MAX_SAMPLES = 16384
@@ -53,13 +54,10 @@ class CheckSettings:
     by_yaw: bool = False
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise SettingsError(f"method must be one of {METHODS}, got {self.method!r}")
+        check_choice(self, METHODS, "method")
         if not (isinstance(self.n_samples, numbers.Integral) and 1 <= self.n_samples <= MAX_SAMPLES):
             raise SettingsError(f"n_samples must be a whole number from 1 to {MAX_SAMPLES}, got {self.n_samples}")
-        for name in ("delta_p_m", "resolution_m"):
-            if not (math.isfinite(getattr(self, name)) and 1e-5 <= getattr(self, name) <= 0.1):
-                raise SettingsError(f"{name} must be between 1e-5 and 0.1 m, got {getattr(self, name)}")
+        check_range(self, "[1e-5, 0.1]", "delta_p_m", "resolution_m")
 
 
 SegmentTest = SampledTest | ExactTest | ContinuousTest

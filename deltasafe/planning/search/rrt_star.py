@@ -25,6 +25,7 @@ from deltasafe.planning.search.kernels import (
 from deltasafe.planning.search.neighbors import BUCKET_THRESHOLD, empty_neighbors
 from deltasafe.planning.search.problem import SearchProblem, require_budget
 from deltasafe.planning.search.tree import SearchTree, TreeArrays, empty_tree
+from deltasafe.setting_ranges import check_choice, check_range
 
 Array = NDArray[np.float64]
 NEAR_SETS = ("k", "radius")
@@ -60,14 +61,10 @@ class RrtStarSettings:
     bucket_threshold: int = BUCKET_THRESHOLD
 
     def __post_init__(self) -> None:
-        if self.near_set not in NEAR_SETS:
-            raise SettingsError(f"near_set must be one of {NEAR_SETS}, got {self.near_set!r}")
-        if not 0 < self.steering_range_m <= MAX_COORDINATE:
-            raise SettingsError(f"steering_range_m must be in (0, {MAX_COORDINATE:g}], got {self.steering_range_m}")
-        if not 0 <= self.goal_bias < 1:
-            raise SettingsError(f"goal_bias must be in [0, 1), got {self.goal_bias}")
-        if not 0 < self.near_factor <= MAX_NEAR_FACTOR:
-            raise SettingsError(f"near_factor must be in (0, {MAX_NEAR_FACTOR:g}], got {self.near_factor}")
+        check_choice(self, NEAR_SETS, "near_set")
+        check_range(self, f"(0, {MAX_COORDINATE:g}]", "steering_range_m")
+        check_range(self, "[0, 1)", "goal_bias")
+        check_range(self, f"(0, {MAX_NEAR_FACTOR:g}]", "near_factor")
 
 
 class RrtStar:

@@ -22,6 +22,7 @@ from deltasafe.planning.collision.segment_tests import (
 )
 from deltasafe.planning.timing.corner_blending import SmoothPath, blend_corners
 from deltasafe.planning.tracking_bound import TrackingBound, tracking_of
+from deltasafe.setting_ranges import check_range
 
 Array = NDArray[np.float64]
 CHORD_TOLERANCE_M = 0.00005
@@ -57,10 +58,7 @@ class VelocitySettings:
     rate_hz: float = 1000.0
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(VelocitySettings):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value > 0):
-                raise SettingsError(f"{field.name} must be positive, got {value}")
+        check_range(self, "(0, inf)", *(field.name for field in dataclasses.fields(VelocitySettings)))
         if self.spacing_m < MIN_SPACING_M or self.rate_hz > MAX_RATE_HZ:  # the samples must fit into memory
             raise SettingsError(
                 f"spacing_m must be at least {MIN_SPACING_M:g} m and rate_hz at most {MAX_RATE_HZ:g}, "

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.special import erfcinv
 
 from deltasafe.compute.numba_cache import compiled
-from deltasafe.errors import SettingsError
 from deltasafe.planning.collision.segment import in_order
 from deltasafe.planning.collision.segment_query import register_segment_test, segment_is_safe
 from deltasafe.planning.collision.segment_tests import SegmentTest
+from deltasafe.setting_ranges import check_choice, check_range
 from deltasafe.studies.baselines.obstacles import GaussianObstacle, ObstacleArrays, obstacle_arrays
 from deltasafe.studies.baselines.probability import (
     BOUNDING_VOLUME,
@@ -60,16 +60,11 @@ class GaussianCheckSettings:
     numeric_search: bool = False
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise SettingsError(f"method must be one of {METHODS}, got {self.method!r}")
-        if self.joint_risk not in JOINT_RISKS:
-            raise SettingsError(f"joint_risk must be one of {JOINT_RISKS}, got {self.joint_risk!r}")
-        if not 0 < self.delta < 0.5:
-            raise SettingsError(f"delta must be in (0, 0.5), where a linearized constraint bounds it, got {self.delta}")
-        if not (math.isfinite(self.sigma_level) and self.sigma_level >= 0):
-            raise SettingsError(f"sigma_level must not be negative, got {self.sigma_level}")
-        if not (math.isfinite(self.delta_p_m) and 1e-5 <= self.delta_p_m <= 0.1):
-            raise SettingsError(f"delta_p_m must be between 1e-5 and 0.1 m, got {self.delta_p_m}")
+        check_choice(self, METHODS, "method")
+        check_choice(self, JOINT_RISKS, "joint_risk")
+        check_range(self, "(0, 0.5)", "delta")  # where a linearized constraint bounds the risk
+        check_range(self, "[0, inf)", "sigma_level")
+        check_range(self, "[1e-5, 0.1]", "delta_p_m")
 
 
 class GaussianParams(NamedTuple):

@@ -5,6 +5,7 @@ import dataclasses
 from deltasafe.errors import SettingsError
 from deltasafe.perception.data.augmentation.settings import METHOD_NAMES
 from deltasafe.perception.data.schemes import SCHEMES
+from deltasafe.setting_ranges import check_range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,9 +33,7 @@ class Cell:
             raise SettingsError(
                 f"left_out is {self.left_out!r}; only our scheme has methods: {', '.join(METHOD_NAMES)}"
             )
-        for name in ("n_images", "n_members"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
+        check_range(self, "[1, inf)", "n_images", "n_members")
 
     @property
     def name(self) -> str:
@@ -78,19 +77,12 @@ class StudySettings:
     def __post_init__(self) -> None:
         object.__setattr__(self, "sizes", tuple(self.sizes))
         object.__setattr__(self, "left_out", tuple(self.left_out))
-        if not self.sizes or list(self.sizes) != sorted(set(self.sizes)) or self.sizes[0] < 1:
-            raise SettingsError(f"sizes must be positive and ascending, got {self.sizes}")
-        if not 1 <= self.n_members <= self.n_members_most:
-            raise SettingsError(
-                f"n_members must lie in 1..n_members_most ({self.n_members_most}), got {self.n_members}"
-            )
-        if not 1 <= self.n_members_ablation <= self.n_members:
-            raise SettingsError(
-                f"n_members_ablation must lie in 1..n_members ({self.n_members}), got {self.n_members_ablation}"
-            )
-        for name in ("first_seed", "comparison_width", "comparison_epochs"):
-            if getattr(self, name) < 0:
-                raise SettingsError(f"{name} must not be negative, got {getattr(self, name)}")
+        check_range(self, "[1, inf)", "sizes")
+        if list(self.sizes) != sorted(set(self.sizes)):
+            raise SettingsError(f"sizes must be ascending, got {self.sizes}")
+        check_range(self, f"[1, {self.n_members_most}]", "n_members")
+        check_range(self, f"[1, {self.n_members}]", "n_members_ablation")
+        check_range(self, "[0, inf)", "first_seed", "comparison_width", "comparison_epochs")
         self.cells()
 
     @property

@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 from deltasafe.errors import SettingsError
+from deltasafe.setting_ranges import check_range
 from deltasafe.studies.planner.scenes import PAPER_UNIT_M
 
 
@@ -37,14 +38,9 @@ class SearchSettings:
     first_seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("n_iterations", "n_samples"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 < self.delta < 0.5:
-            raise SettingsError(f"delta must be in (0, 0.5), got {self.delta}")
-        for name in ("delta_p_m", "voxel_m", "rotation_weight_m2", "steering_range_m", "near_factor"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise SettingsError(f"{name} must be positive, got {getattr(self, name)}")
+        check_range(self, "[1, inf)", "n_iterations", "n_samples")
+        check_range(self, "(0, 0.5)", "delta")
+        check_range(self, "(0, inf)", "delta_p_m", "voxel_m", "rotation_weight_m2", "steering_range_m", "near_factor")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,11 +63,8 @@ class ComparisonSettings(SearchSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.n_levels < 2 or self.n_runs < 2 or not 2 <= self.n_runs_reference <= self.n_runs:
-            raise SettingsError(
-                f"n_levels and n_runs must be at least 2, n_runs_reference between 2 and n_runs, "
-                f"got {self.n_levels}, {self.n_runs} and {self.n_runs_reference}"
-            )
+        check_range(self, "[2, inf)", "n_levels", "n_runs")
+        check_range(self, f"[2, {self.n_runs}]", "n_runs_reference")
         if not 0 < self.least_level_m < self.largest_level_m < math.inf:
             raise SettingsError(
                 f"levels need 0 < least_level_m < largest_level_m, got {self.least_level_m} and {self.largest_level_m}"
@@ -109,9 +102,7 @@ class TimingSettings(SearchSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.counts or min(self.counts) < 1 or list(self.counts) != sorted(set(self.counts)):
-            raise SettingsError(f"counts must be increasing and at least 1, got {self.counts}")
-        if self.n_runs < 1 or self.few_samples < 1:
-            raise SettingsError(f"n_runs and few_samples must be at least 1, got {self.n_runs}, {self.few_samples}")
-        if not (self.level_m > 0 and self.radius_m > 0):
-            raise SettingsError(f"level_m and radius_m must be positive, got {self.level_m} and {self.radius_m}")
+        check_range(self, "[1, inf)", "counts", "n_runs", "few_samples")
+        check_range(self, "(0, inf)", "level_m", "radius_m")
+        if list(self.counts) != sorted(set(self.counts)):
+            raise SettingsError(f"counts must be increasing, got {self.counts}")

@@ -7,6 +7,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import FieldSettings
+from deltasafe.setting_ranges import check_range
 from deltasafe.studies import baselines
 
 PARAMETRIC = ("chance_constraint", "bounding_volume", "max_probability")
@@ -43,7 +44,7 @@ class CameraSettings:
     jpeg_quality: tuple[int, ...] = (60, 95)
 
     def __post_init__(self) -> None:
-        _require_not_negative(self, ("exposure_stops_sd", "white_balance_sd", "read_noise_sd", "shot_noise_sd"))
+        check_range(self, "[0, inf)", "exposure_stops_sd", "white_balance_sd", "read_noise_sd", "shot_noise_sd")
         if len(self.jpeg_quality) != 2 or not 1 <= self.jpeg_quality[0] <= self.jpeg_quality[1] <= 100:
             raise SettingsError(f"jpeg_quality must be a range within 1 and 100, got {self.jpeg_quality}")
 
@@ -71,7 +72,7 @@ class TaskSettings:
     yaw_range_rad: float = 0.8
 
     def __post_init__(self) -> None:
-        _require_not_negative(self, ("clearance_m", "border_m", "min_distance_m", "near_hand_m", "yaw_range_rad"))
+        check_range(self, "[0, inf)", "clearance_m", "border_m", "min_distance_m", "near_hand_m", "yaw_range_rad")
         if len(self.z_range_m) != 2 or not 0 < self.z_range_m[0] <= self.z_range_m[1] < math.inf:
             raise SettingsError(f"z_range_m must be a range of positive heights, got {self.z_range_m}")
 
@@ -114,13 +115,9 @@ class SafetyStudySettings:
             raise SettingsError(f"deltas must be increasing, got {self.deltas}")
         if set(self.compared) - set(METHODS[1:]) or len(set(self.compared)) < len(self.compared):
             raise SettingsError(f"compared must be a selection of {METHODS[1:]}, each once, got {self.compared}")
-        if not 0 < self.deltas[0] <= self.deltas[-1] < 0.5:
-            raise SettingsError(f"deltas must lie in (0, 0.5), as the compared methods require, got {self.deltas}")
-        for name in ("n_executions", "compared_every", "n_obstacles"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.seed < 0 or self.n_films < 0:
-            raise SettingsError(f"seed and n_films must not be negative, got {self.seed} and {self.n_films}")
+        check_range(self, "(0, 0.5)", "deltas")  # which the compared methods require
+        check_range(self, "[1, inf)", "n_executions", "compared_every", "n_obstacles")
+        check_range(self, "[0, inf)", "seed", "n_films")
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -160,10 +157,3 @@ class SafetyStudySettings:
             return round_ * self.compared_every, rest
         after, position = divmod(rest - first, len(self.deltas))
         return round_ * self.compared_every + 1 + after, position
-
-
-def _require_not_negative(settings: object, names: tuple[str, ...]) -> None:
-    for name in names:
-        value = getattr(settings, name)
-        if not (math.isfinite(value) and value >= 0):
-            raise SettingsError(f"{name} must be finite and not negative, got {value}")

@@ -5,6 +5,7 @@ import math
 
 from deltasafe.errors import SettingsError
 from deltasafe.planning.body import ToolBody
+from deltasafe.setting_ranges import check_range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,12 +46,9 @@ class TrackingStudySettings:
     body: ToolBody = dataclasses.field(default_factory=ToolBody)
 
     def __post_init__(self) -> None:
-        for name in ("n_slope_runs", "n_bound_runs", "n_held_out_runs", "runs_per_batch"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("content", "confidence"):
-            if not 0 < getattr(self, name) < 1:
-                raise SettingsError(f"{name} must lie in (0, 1), got {getattr(self, name)}")
+        check_range(self, "[1, inf)", "n_slope_runs", "n_bound_runs", "n_held_out_runs", "runs_per_batch")
+        check_range(self, "(0, 1)", "content", "confidence")
+        check_range(self, "(0, inf)", "accelerations_mps2", "yaw_rate_radps", "record_rate_hz")
         least = self.min_bound_runs
         if self.n_bound_runs < least:
             raise SettingsError(
@@ -59,11 +57,6 @@ class TrackingStudySettings:
             )
         if not 0 < self.v_min_mps <= self.v_max_mps < math.inf:
             raise SettingsError(f"speeds need 0 < v_min_mps <= v_max_mps, got {self.v_min_mps} and {self.v_max_mps}")
-        for name in ("accelerations_mps2", "yaw_rate_radps", "record_rate_hz"):
-            values = getattr(self, name)
-            values = values if isinstance(values, tuple) else (values,)
-            if not values or not all(math.isfinite(value) and value > 0 for value in values):
-                raise SettingsError(f"{name} must be positive, got {getattr(self, name)}")
         if len(self.lower_m) != 3 or len(self.upper_m) != 3:
             raise SettingsError("lower_m and upper_m must have three coordinates")
         if not all(low < high for low, high in zip(self.lower_m, self.upper_m, strict=True)):

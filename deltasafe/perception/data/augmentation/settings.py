@@ -3,6 +3,7 @@
 import dataclasses
 
 from deltasafe.errors import SettingsError
+from deltasafe.setting_ranges import check_range
 
 METHOD_NAMES = ("background", "flip", "rotation", "grid_distortion", "cropping", "color", "noise", "random_erase")
 
@@ -33,20 +34,10 @@ class AugmentationSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "left_out", tuple(self.left_out))
-        check_minimum(self, n_variants=1, width=32, height=32, supersampling=1, seed=0)
-        if not 0.0 <= self.probability <= 1.0:
-            raise SettingsError(f"probability is {self.probability}; choose a number from 0 to 1 (the paper: 0.5)")
+        check_range(self, "[1, inf)", "n_variants", "supersampling")
+        check_range(self, "[32, inf)", "width", "height")
+        check_range(self, "[0, inf)", "seed")
+        check_range(self, "[0, 1]", "probability")
         unknown = sorted(set(self.left_out) - set(METHOD_NAMES))
         if unknown:
             raise SettingsError(f"left_out holds {unknown}; the methods are {', '.join(METHOD_NAMES)}")
-
-
-def check_minimum(settings: object, **minimums: int) -> None:
-    """Check that each named field of ``settings`` is at least its minimum.
-
-    Raises:
-        SettingsError: names the first field that is too small.
-    """
-    for name, minimum in minimums.items():
-        if getattr(settings, name) < minimum:
-            raise SettingsError(f"{name} is {getattr(settings, name)}; choose at least {minimum}")

@@ -1,11 +1,10 @@
 """Settings of the compared augmentation schemes, importable without OpenCV."""
 
 import dataclasses
-import math
 from typing import TypeAlias
 
-from deltasafe.errors import SettingsError
-from deltasafe.perception.data.augmentation.settings import AugmentationSettings, check_minimum
+from deltasafe.perception.data.augmentation.settings import AugmentationSettings
+from deltasafe.setting_ranges import check_range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +25,9 @@ class ComparedSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_minimum(self, n_variants=1, width=32, height=32, seed=0)
+        check_range(self, "[1, inf)", "n_variants")
+        check_range(self, "[32, inf)", "width", "height")
+        check_range(self, "[0, inf)", "seed")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,8 +43,7 @@ class CutoutSettings(ComparedSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 < self.side <= 1.0:
-            raise SettingsError(f"side is {self.side}; choose a fraction of the shorter side in (0, 1]")
+        check_range(self, "(0, 1]", "side")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,8 +58,7 @@ class MixupSettings(ComparedSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.alpha) and self.alpha > 0):
-            raise SettingsError(f"alpha is {self.alpha}; choose a positive number (the authors: 0.1 to 1)")
+        check_range(self, "(0, inf)", "alpha")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,11 +82,9 @@ class FlipRotateCropSettings(ComparedSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_minimum(self, supersampling=1)
-        if not 0.0 <= self.largest_angle_deg <= 180.0:
-            raise SettingsError(f"largest_angle_deg is {self.largest_angle_deg}; choose 0 to 180")
-        if not 0.0 < self.smallest_crop <= 1.0:
-            raise SettingsError(f"smallest_crop is {self.smallest_crop}; choose a fraction of the side in (0, 1]")
+        check_range(self, "[1, inf)", "supersampling")
+        check_range(self, "[0, 180]", "largest_angle_deg")
+        check_range(self, "(0, 1]", "smallest_crop")
 
 
 SchemeSettings: TypeAlias = AugmentationSettings | ComparedSettings
