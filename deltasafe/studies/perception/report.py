@@ -107,10 +107,10 @@ class _Section:
 
 def _schemes(settings: StudySettings, reports: Reports, sets: "Mapping[str, AugmentedSet]") -> _Section:
     from deltasafe.perception.data.contact_sheet import scheme_sheet
-    from deltasafe.studies.perception.scheme_figures import scheme_figure, scheme_tables_figure
+    from deltasafe.studies.perception.scheme_figures import scheme_figure
 
     rows = scheme_rows(settings, reports)
-    pictures = {"tables-1-2.png": scheme_tables_figure(rows), "schemes.png": scheme_figure(rows)} if rows else {}
+    pictures = {"schemes.png": scheme_figure(rows)} if rows else {}
     if sets:
         pictures["images.jpg"] = scheme_sheet({SCHEME_TITLES[name]: augmented for name, augmented in sets.items()})
     missing = missing_cells(settings.schemes(), reports)

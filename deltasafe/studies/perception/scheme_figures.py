@@ -1,4 +1,4 @@
-"""Figures of Tables I and II and of the ablation: our results and the paper's."""
+"""Figures of the schemes and of the ablation: our results and the paper's."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from deltasafe.perception.calibration.curve_drawing import BLUE, GRAY, ORANGE, RED
 from deltasafe.reporting.panels import style_axes
-from deltasafe.studies.perception.tables import SCHEME_TITLES, AblationRow, SchemeRow, best_rows
+from deltasafe.studies.perception.tables import SCHEME_TITLES, AblationRow, SchemeRow
 
 _PRINTED = {
     "pixel_accuracy": ("PA [%]", 1e2),
@@ -17,46 +17,6 @@ _PRINTED = {
     "nll": ("NLL $\\times 10^2$", 1e2),
     "brier": ("BS $\\times 10^3$", 1e3),
 }
-
-
-def scheme_tables_figure(rows: Sequence[SchemeRow]) -> Figure:
-    """Draw Tables I and II in the form of the paper: our values, the paper's in gray, the best of each size in bold."""
-    sizes = sorted({row.cell.n_images for row in rows})
-    height = 0.26 * (len(rows) + 0.6 * len(sizes) + 4)
-    figure = Figure(figsize=(10.6, height), layout=None)
-    axes = figure.add_axes((0.01, 0.01, 0.98, 0.98))
-    axes.set(xlim=(0, 1), ylim=(height / 0.26, 0))
-    axes.set_axis_off()
-    columns = dict(zip(_PRINTED, (0.405, 0.585, 0.755, 0.915), strict=True))
-    y = 1.0
-    _rule(axes, 0.3, 1.2)
-    for x, text, where in ((0.0, "Training set", "left"), (0.11, "Scheme", "left"), (0.295, "$M$", "center")):
-        axes.text(x, y + 0.35, text, ha=where, va="center", weight="bold")
-    for name, x in columns.items():
-        axes.text(x, y, _PRINTED[name][0], ha="center", va="center", weight="bold")
-        axes.text(x - 0.008, y + 0.8, "measured", ha="right", va="center", fontsize=8)
-        axes.text(x + 0.008, y + 0.8, "paper", ha="left", va="center", fontsize=8, color=GRAY)
-    y += 1.6
-    for size in sizes:
-        _rule(axes, y - 0.4, 0.6)
-        group = [row for row in rows if row.cell.n_images == size]
-        for index, row in enumerate(group):
-            y += 0.6 if index == 0 else 1.0
-            if index == 0:
-                axes.text(0.0, y, f"{size} images", va="center")
-            axes.text(0.11, y, SCHEME_TITLES[row.cell.scheme], va="center")
-            axes.text(0.295, y, f"{row.cell.n_members}", ha="center", va="center")
-            for name, x in columns.items():
-                best = row in best_rows(rows, name)
-                ours, paper = _printed(row, name)
-                axes.text(x - 0.008, y, ours, ha="right", va="center", weight="bold" if best else "normal")
-                axes.text(x + 0.008, y, paper, ha="left", va="center", color=GRAY)
-        y += 1.0
-    _rule(axes, y - 0.3, 1.2)
-    note = "± is one standard deviation over the $M$ members (PA, mIoU); NLL and BS are those of their mean. "
-    note += "The paper's swapped headings NLL and BS are corrected."
-    axes.text(0.0, y + 0.3, note, va="center", fontsize=8, color="#555555")
-    return figure
 
 
 def scheme_figure(rows: Sequence[SchemeRow]) -> Figure:
@@ -104,18 +64,6 @@ def ablation_figure(rows: Sequence[AblationRow]) -> Figure:
     return figure
 
 
-def _printed(row: SchemeRow, name: str) -> tuple[str, str]:
-    unit, digits = _PRINTED[name][1], 2 if name == "nll" else 1
-    ours = f"{unit * getattr(row.table_scores, name):.{digits}f}"
-    paper = "" if row.paper is None else f"{unit * getattr(row.paper, name):.1f}"
-    if name in ("pixel_accuracy", "miou"):
-        if row.members.sd is not None:
-            ours += f" ± {unit * getattr(row.members.sd, name):.1f}"
-        if row.paper is not None:
-            paper += f" ± {unit * getattr(row.paper, name + '_sd'):.1f}"
-    return ours, paper
-
-
 def _span(row: SchemeRow, name: str) -> tuple[float, float, float]:
     """Return low end, value and high end: one sd over members, or the interval of the ensemble."""
     value = getattr(row.table_scores, name)
@@ -123,10 +71,6 @@ def _span(row: SchemeRow, name: str) -> tuple[float, float, float]:
         return getattr(row.low, name), value, getattr(row.high, name)
     sd = 0.0 if row.members.sd is None else getattr(row.members.sd, name)
     return value - sd, value, value + sd
-
-
-def _rule(axes: Axes, y: float, width: float) -> None:
-    axes.plot([0, 1], [y, y], color="black", lw=width, clip_on=False)
 
 
 def _dot(color: str, label: str) -> Any:

@@ -11,15 +11,12 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.executor import LOCAL, Executor
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.errors import DataError
-from deltasafe.io.arrays import read_npz
-from deltasafe.io.records import from_json
-from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.planning import is_segment_safe, line_cost, path_cost
 from deltasafe.studies.planner.methods import MAIN, Method, build_field, build_test, compared_methods, run_search
 from deltasafe.studies.planner.scenes import cluttered_scene, simple_scene
 from deltasafe.studies.planner.settings import ComparisonSettings
 from deltasafe.studies.resumable_jobs import Batch, Effort, run_batches
+from deltasafe.studies.stored_runs import load_runs, save_runs
 
 Array = NDArray[np.float64]
 
@@ -80,9 +77,7 @@ class Comparison:
 
     def save(self, folder: str | pathlib.Path) -> None:
         """Write runs.npz and study.json atomically."""
-        with atomic_folder(folder) as temporary:
-            np.savez_compressed(temporary / "runs.npz", **self.runs)  # type: ignore[arg-type]
-            write_json(temporary / "study.json", {"settings": self.settings, **dataclasses.asdict(self.effort)})
+        save_runs(folder, self.settings, self.runs, self.effort)
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "Comparison":
@@ -91,17 +86,11 @@ class Comparison:
         Raises:
             DataError: a file is missing or has other content.
         """
-        folder = pathlib.Path(folder)
-        record, arrays = read_json(folder / "study.json"), read_npz(folder / "runs.npz")
-        try:
-            settings = from_json(ComparisonSettings, record["settings"])
-            runs = {name: arrays[name] for name in MEASURES}
-            shape = (len(SCENES), settings.n_levels, len(compared_methods(settings)), settings.n_runs)
-            if runs["cost_root"].shape != shape:
-                raise ValueError(f"runs of shape {runs['cost_root'].shape}, the settings require {shape}")
-            return cls(settings, runs, Effort(record["minutes"], record["cpu_minutes"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise DataError(folder, f"is not a comparison of this version ({error}); run the study again") from error
+        return cls(*load_runs(folder, ComparisonSettings, lambda settings: dict.fromkeys(MEASURES, _shape(settings))))
+
+
+def _shape(settings: ComparisonSettings) -> tuple[int, ...]:
+    return len(SCENES), settings.n_levels, len(compared_methods(settings)), settings.n_runs
 
 
 def n_plans(settings: ComparisonSettings) -> int:
@@ -124,8 +113,7 @@ def run_comparison(
         (f"{scene}-{level:02d}", (settings, scene, level)) for scene in SCENES for level in range(settings.n_levels)
     ]
     batches, effort = run_batches(_run_level, jobs, folder, workers, progress, executor=executor)
-    shape = (len(SCENES), settings.n_levels, len(compared_methods(settings)), settings.n_runs)
-    runs = {name: np.stack([batch[name] for batch in batches]).reshape(shape) for name in MEASURES}
+    runs = {name: np.stack([batch[name] for batch in batches]).reshape(_shape(settings)) for name in MEASURES}
     return Comparison(settings, runs, effort)
 
 

@@ -9,15 +9,12 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.executor import LOCAL, Executor
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.errors import DataError
-from deltasafe.io.arrays import read_npz
-from deltasafe.io.records import from_json
-from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.studies.baselines import GaussianCheckSettings
 from deltasafe.studies.planner.methods import build_field, build_test, run_search
 from deltasafe.studies.planner.scenes import crowded_scene
 from deltasafe.studies.planner.settings import TimingSettings
 from deltasafe.studies.resumable_jobs import Batch, Effort, run_batches
+from deltasafe.studies.stored_runs import load_runs, save_runs
 
 Array = NDArray[np.float64]
 
@@ -62,11 +59,8 @@ class Timing:
 
     def save(self, folder: str | pathlib.Path) -> None:
         """Write runs.npz and study.json atomically."""
-        with atomic_folder(folder) as temporary:
-            np.savez_compressed(
-                temporary / "runs.npz", seconds=self.seconds, n_nodes=self.n_nodes, field_s=self.field_s
-            )
-            write_json(temporary / "study.json", {"settings": self.settings, **dataclasses.asdict(self.effort)})
+        arrays = {"seconds": self.seconds, "n_nodes": self.n_nodes, "field_s": self.field_s}
+        save_runs(folder, self.settings, arrays, self.effort)
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "Timing":
@@ -75,17 +69,13 @@ class Timing:
         Raises:
             DataError: a file is missing or has other content.
         """
-        folder = pathlib.Path(folder)
-        record, arrays = read_json(folder / "study.json"), read_npz(folder / "runs.npz")
-        try:
-            settings = from_json(TimingSettings, record["settings"])
-            shape = (len(settings.counts), len(TIMED), settings.n_runs)
-            if arrays["seconds"].shape != shape:
-                raise ValueError(f"runs of shape {arrays['seconds'].shape}, the settings require {shape}")
-            effort = Effort(record["minutes"], record["cpu_minutes"])
-            return cls(settings, arrays["seconds"], arrays["n_nodes"], arrays["field_s"], effort)
-        except (KeyError, TypeError, ValueError) as error:
-            raise DataError(folder, f"is not a timing of this version ({error}); run the study again") from error
+        settings, arrays, effort = load_runs(folder, TimingSettings, _shapes)
+        return cls(settings, **arrays, effort=effort)
+
+
+def _shapes(settings: TimingSettings) -> dict[str, tuple[int, ...]]:
+    runs = (len(settings.counts), len(TIMED), settings.n_runs)
+    return {"seconds": runs, "n_nodes": runs, "field_s": runs[:1]}
 
 
 def run_timing(
@@ -101,7 +91,7 @@ def run_timing(
     """
     jobs = [(f"spheres-{count:03d}", (settings, count)) for count in settings.counts]
     batches, effort = run_batches(_time_count, jobs, folder, workers, progress, executor=executor)
-    stacked = {name: np.stack([batch[name] for batch in batches]) for name in ("seconds", "n_nodes", "field_s")}
+    stacked = {name: np.stack([batch[name] for batch in batches]) for name in _shapes(settings)}
     return Timing(settings, **stacked, effort=effort)
 
 

@@ -100,7 +100,7 @@ def test_report_shows_finished_cells_and_names_missing_ones(reports, tmp_path: p
     text = write_study(tmp_path / "all", SETTINGS, reports).read_text()
     assert "Not finished" not in text
     assert "beats every other in all four measures" in text
-    pictures = {"tables-1-2.png", "schemes.png", "table-3.png", "figure-4.png", "ablation.png"}
+    pictures = {"schemes.png", "table-3.png", "figure-4.png", "ablation.png"}
     assert {path.name for path in (tmp_path / "all").iterdir()} == {"report.md", *pictures}
     assert all(f"({name})" in text for name in pictures)
     for row in scheme_rows(SETTINGS, reports):
