@@ -1,5 +1,6 @@
 """Markdown tables, and numbers as reports print them."""
 
+import math
 from collections.abc import Iterable, Sequence
 
 
@@ -17,3 +18,8 @@ def plus_minus(mean: float, sd: float | None) -> str:
 def percent(value: float | None) -> str:
     """Format a fraction of a hand; None stands for an image without a hand."""
     return "no hand" if value is None else f"{value:.2%}"
+
+
+def number(value: float | None, form: str, missing: str = "") -> str:
+    """Format a number, for example by ``.2%``; ``missing`` stands for None, NaN and infinity."""
+    return missing if value is None or not math.isfinite(value) else f"{value:{form}}"

@@ -4,13 +4,14 @@ import functools
 import importlib.resources
 from typing import Any
 
-from deltasafe.reporting.markdown import percent, plus_minus, table
+from deltasafe.reporting.markdown import number, percent, plus_minus, table
 
 
 def render(package: str, name: str, **values: Any) -> str:
     """Render the template ``templates/NAME`` of a package.
 
-    ``table(head, rows)``, ``percent`` and ``plus_minus`` of `deltasafe.reporting.markdown` are available in templates.
+    ``table(head, rows)``, ``percent``, ``plus_minus`` and the filter ``number`` of `deltasafe.reporting.markdown` are
+    available in templates.
 
     Args:
         package: dotted name of the package that holds the folder ``templates``.
@@ -34,4 +35,5 @@ def _environment(package: str) -> Any:
         keep_trailing_newline=True,
     )
     environment.globals.update(table=table, percent=percent, plus_minus=plus_minus)
+    environment.filters["number"] = number
     return environment

@@ -75,26 +75,5 @@ def ensemble_size_table(report: CalibrationReport) -> str:
         "ensemble_size.md.j2",
         report=report,
         used=report.figures(),
-        rows=[_cells(row) for row in ensemble_size_rows(report)],
-    )
-
-
-def _cells(row: EnsembleSize) -> tuple[str, ...]:
-    changes = ("", "")
-    if row.n_members > 1:
-        changes = (
-            f"{1e3 * row.change_low.brier:+.1f} to {1e3 * row.change_high.brier:+.1f}",
-            f"{1e2 * row.change_low.nll:+.2f} to {1e2 * row.change_high.nll:+.2f}",
-        )
-    return (
-        f"{row.n_members}",
-        f"**{1e3 * row.scores.brier:.1f}**",
-        f"{1e3 * row.low.brier:.1f} to {1e3 * row.high.brier:.1f}",
-        "" if row.paper_brier is None else f"{1e3 * row.paper_brier:.1f}",
-        f"**{1e2 * row.scores.nll:.2f}**",
-        f"{1e2 * row.low.nll:.2f} to {1e2 * row.high.nll:.2f}",
-        "" if row.paper_nll is None else f"{1e2 * row.paper_nll:.1f}",
-        f"{row.scores.pixel_accuracy:.4f}",
-        f"{row.scores.miou:.4f}",
-        *changes,
+        rows=ensemble_size_rows(report),
     )

@@ -1,4 +1,4 @@
-"""The text of a calibration report: values and table rows for the template ``report.md.j2``."""
+"""The text of a calibration report: values for the template ``report.md.j2``."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -9,18 +9,11 @@ from scipy.stats import binomtest
 from deltasafe.perception.calibration.conformal_margin import REFERENCE_WIDTH_PX, ConformalMargin, ConformalMargins
 from deltasafe.perception.calibration.ensemble_size import ensemble_size_table
 from deltasafe.perception.calibration.paper_results import AUGMENTATION_RESULTS, ENSEMBLE_SIZE_RESULTS
-from deltasafe.perception.calibration.report import CalibrationReport, EvaluationResult
-from deltasafe.reporting.markdown import percent, plus_minus
+from deltasafe.perception.calibration.report import CalibrationReport
 from deltasafe.reporting.templates import render
 
 Rows = list[tuple[str, ...]]
 
-_MEASURES = (
-    ("Pixel accuracy (PA)", "pixel_accuracy", "fraction of correctly classified pixels"),
-    ("mIoU", "miou", "overlap of predicted and true shape, mean of hand and background; 1 is perfect"),
-    ("Brier score (BS)", "brier", "mean squared error of the probability; 0 is perfect"),
-    ("NLL [nats]", "nll", "negative log-likelihood; confident errors cost most; 0 is perfect"),
-)
 _DELTAS_SHOWN = (0.001, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 _MARGIN_DELTAS_SHOWN = (0.02, 0.05, 0.1, 0.2)
 
@@ -28,68 +21,27 @@ _MARGIN_DELTAS_SHOWN = (0.02, 0.05, 0.1, 0.2)
 def report_markdown(report: CalibrationReport, pictures: Iterable[str]) -> str:
     """Write the report as Markdown that links the ``pictures`` (file names beside it)."""
     n_shown = max(1, min(5, len(report.images) // 2))
+    shown = {*_DELTAS_SHOWN, report.settings.planning_delta, report.smallest_supported_delta}
     return render(
         "deltasafe.perception.calibration",
         "report.md.j2",
         report=report,
         pictures=set(pictures),
         grid_delta=report.grid_delta,
-        score_rows=_score_rows(report),
-        delta_rows=_delta_rows(report),
+        paper=next(row for row in AUGMENTATION_RESULTS if row.scheme == "ours" and row.n_images == 1000),
+        paper_brier_and_nll=ENSEMBLE_SIZE_RESULTS[10],
+        member_ece=_mean_and_sd([member.errors.expected for member in report.members]),
+        deltas=[row for row in report.final.support if row.delta in shown],
         missed=_missed_hands(report),
-        risk_rows=_risk_rows(report),
         margin=_conformal_margins(report),
-        calibration_rows=_calibration_rows(report),
         ensemble_sizes=ensemble_size_table(report),
-        member_rows=_member_rows(report),
-        image_head=("Image", "mIoU", "PA", "Hand missed", "False alarms", "NLL"),
-        worst_rows=_image_rows(report, report.worst_first[:n_shown]),
-        best_rows=_image_rows(report, report.worst_first[::-1][:n_shown]),
+        worst=report.worst_first[:n_shown],
+        best=report.worst_first[::-1][:n_shown],
     )
 
 
-def _score_rows(report: CalibrationReport) -> Rows:
-    final, mean = report.final.predictor, report.member_mean
-    paper = next(row for row in AUGMENTATION_RESULTS if row.scheme == "ours" and row.n_images == 1000)
-    paper_brier, paper_nll = ENSEMBLE_SIZE_RESULTS[10]
-    printed = {
-        "pixel_accuracy": f"{paper.pixel_accuracy:.3f} ± {paper.pixel_accuracy_sd:.3f} *",
-        "miou": f"{paper.miou:.3f} ± {paper.miou_sd:.3f} *",
-        "brier": f"{paper_brier:.4f}",
-        "nll": f"{paper_nll:.3f}",
-    }
-    rows: Rows = [
-        (
-            title,
-            f"**{getattr(final.scores, name):.4f}**",
-            f"{getattr(final.low, name):.4f} to {getattr(final.high, name):.4f}",
-            plus_minus(getattr(mean.mean, name), None if mean.sd is None else getattr(mean.sd, name)),
-            printed[name],
-            meaning,
-        )
-        for title, name, meaning in _MEASURES
-    ]
-    ece = [member.errors.expected for member in report.members]
-    members = plus_minus(float(np.mean(ece)), float(np.std(ece, ddof=1)) if len(ece) > 1 else None)
-    meaning = "expected calibration error: mean gap between confidence and accuracy; 0 is perfect"
-    return [*rows, ("ECE", f"**{final.errors.expected:.4f}**", "", members, "", meaning)]
-
-
-def _delta_rows(report: CalibrationReport) -> Rows:
-    shown = {*_DELTAS_SHOWN, report.settings.planning_delta, report.smallest_supported_delta}
-    return [
-        (
-            f"{row.delta:g}",
-            f"{row.free_fraction:.1%}",
-            "" if row.occupied_fraction is None else f"{row.occupied_fraction:.3%}",
-            f"{row.upper_bound:.2%}",
-            percent(row.miss_rate_mean),
-            percent(row.miss_rate_worst),
-            "yes" if row.supported else "no",
-        )
-        for row in report.final.support
-        if row.delta in shown
-    ]
+def _mean_and_sd(values: Sequence[float]) -> tuple[float, float | None]:
+    return float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else None
 
 
 def _missed_hands(report: CalibrationReport) -> dict[str, Any] | None:
@@ -107,20 +59,8 @@ def _missed_hands(report: CalibrationReport) -> dict[str, Any] | None:
         "at_delta_worst": at_delta[worst],
         "at_delta_worst_id": report.image_ids[worst],
         "at_delta_mean": sum(at_delta.values()) / len(at_delta),
-        "rows": [(f"`{report.image_ids[i]}`", percent(missed[i]), percent(at_delta[i])) for i in list(missed)[:5]],
+        "images": [(report.image_ids[i], missed[i], at_delta[i]) for i in list(missed)[:5]],
     }
-
-
-def _risk_rows(report: CalibrationReport) -> Rows:
-    return [
-        (
-            f"**{row.alpha:.0%}**" if row.alpha == report.settings.missed_hand_alpha else f"{row.alpha:.0%}",
-            "none" if row.threshold is None else f"{row.threshold:.3g}",
-            "" if row.held_out_mean is None else f"{row.held_out_mean:.2%}",
-            "" if row.held_out_worst is None else f"{row.held_out_worst:.2%}",
-        )
-        for row in report.risk
-    ]
 
 
 def _conformal_margins(report: CalibrationReport) -> dict[str, Any] | None:
@@ -176,46 +116,3 @@ def _alpha(alpha: float) -> str:
 
 def _margin_px(px: float) -> str:
     return "infinite" if np.isinf(px) else f"{px:.1f}"
-
-
-def _calibration_rows(report: CalibrationReport) -> Rows:
-    def row(name: str, result: EvaluationResult) -> tuple[str, ...]:
-        scores, errors, delta = result.predictor.scores, result.predictor.errors, result.smallest_supported_delta
-        return (
-            name,
-            f"{scores.nll:.4f}",
-            f"{scores.brier:.4f}",
-            f"{errors.expected:.4f}",
-            f"{errors.adaptive:.4f}",
-            f"{errors.signed:+.4f} ({errors.signed_low:+.4f} to {errors.signed_high:+.4f})",
-            "none" if delta is None else f"{delta:g}",
-        )
-
-    uncalibrated = row("uncalibrated (T = 1)", report.uncalibrated)
-    return [uncalibrated] if report.calibrated is None else [uncalibrated, row("calibrated", report.calibrated)]
-
-
-def _member_rows(report: CalibrationReport) -> Rows:
-    return [
-        (
-            f"member {m}",
-            *(f"{getattr(member.scores, name):.4f}" for _, name, _ in _MEASURES),
-            f"{member.errors.expected:.4f}",
-        )
-        for m, member in enumerate(report.members)
-    ]
-
-
-def _image_rows(report: CalibrationReport, indices: Sequence[int]) -> Rows:
-    images = [(report.image_ids[i], report.images[i]) for i in indices]
-    return [
-        (
-            f"`{image_id}`",
-            f"{image.miou:.3f}",
-            f"{image.pixel_accuracy:.4f}",
-            percent(image.missed_hand_rate),
-            percent(image.false_alarm_rate),
-            f"{image.nll:.4f}",
-        )
-        for image_id, image in images
-    ]

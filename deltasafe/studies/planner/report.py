@@ -2,7 +2,6 @@
 
 import math
 import pathlib
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,6 @@ from deltasafe.studies.planner.effects import OTHERS, effects_of_cost, effects_o
 from deltasafe.studies.planner.methods import MAIN, REFERENCES, build_field, build_test, compared_methods, run_search
 from deltasafe.studies.planner.scenes import EllipticDisc, cluttered_scene
 from deltasafe.studies.planner.timing import TIMED, Timing
-
-Table = tuple[list[str], list[list[str]]]
 
 
 def figures_of(comparison: Comparison, timing: Timing) -> dict[str, float]:
@@ -74,78 +71,23 @@ def _draw_search(comparison: Comparison, folder: pathlib.Path) -> None:
 
 
 def _markdown(comparison: Comparison, timing: Timing) -> str:
+    counts, n_levels = timing.settings.counts, comparison.settings.n_levels
+    shown_counts = np.searchsorted(counts, [counts[0], 10, 50, counts[-1]]).clip(0, len(counts) - 1)
     return render(
         "deltasafe.studies.planner",
         "report.md.j2",
         n_plans=n_plans(comparison.settings),
         settings=comparison.settings,
+        comparison=comparison,
         timing=timing,
         effects=effects_of_cost(comparison) | effects_of_time(timing),
         others=OTHERS,
         is_finite=math.isfinite,
-        cost_table=_cost_table(comparison),
-        margin_table=_margin_table(comparison),
-        safety_table=_safety_table(comparison),
-        time_table=_time_table(timing),
+        scenes=SCENES,
+        main=MAIN,
+        references=REFERENCES,
+        timed=TIMED,
+        labels={method.name: method.label for method in compared_methods(comparison.settings)},
+        shown_levels=np.unique(np.linspace(0, n_levels - 1, 6).round().astype(int)).tolist(),
+        shown_counts=np.unique(shown_counts).tolist(),
     )
-
-
-def _cell(value: float, text: Callable[[float], str]) -> str:
-    return text(value) if math.isfinite(value) else "no path"
-
-
-def _with_error(mean: float, error: float) -> str:
-    return _cell(mean, lambda value: f"{value:.3f} ± {error:.3f}" if math.isfinite(error) else f"{value:.3f}")
-
-
-def _change(ratio: float) -> str:
-    return _cell(ratio, lambda value: f"{100 * (value - 1):+.1f} %")
-
-
-def _labels(found: Comparison) -> dict[str, str]:
-    return {method.name: method.label for method in compared_methods(found.settings)}
-
-
-def _cost_table(found: Comparison) -> Table:
-    """Normalized costs at six levels, for both line costs."""
-    labels, levels_m = _labels(found), found.settings.levels_m
-    shown = np.unique(np.linspace(0, len(levels_m) - 1, 6).round().astype(int))
-    head = ["scene, line cost, method", *(f"{1000 * levels_m[n]:.0f} mm" for n in shown), "paths found"]
-    rows = []
-    for scene in SCENES:
-        for suffix, kind in (("", "root"), ("_squared", "squared")):
-            for name in MAIN:
-                mean, error = found.normalized_cost(scene, name + suffix)
-                cells = [_with_error(mean[n], error[n]) for n in shown]
-                solved = found.solved_fraction(scene, name + suffix).min()
-                rows.append([f"{scene}, {kind}, {labels[name]}", *cells, f"≥ {100 * solved:.0f} %"])
-    return head, rows
-
-
-def _margin_table(found: Comparison) -> Table:
-    """Cost at no uncertainty relative to ours, and its rise with the uncertainty, references included."""
-    labels, rows = _labels(found), []
-    for scene in SCENES:
-        ours = found.normalized_cost(scene, "ours")[0][0]
-        for name in (*MAIN, *REFERENCES):
-            mean, _ = found.normalized_cost(scene, name)
-            rows.append([f"{scene}, {labels[name]}", _change(mean[0] / ours), _change(mean[-1] / mean[0])])
-    return ["scene, method", "at no uncertainty, relative to ours", "rise to the largest uncertainty"], rows
-
-
-def _safety_table(found: Comparison) -> Table:
-    """Fraction of paths that pass the continuous test."""
-    labels, rows = _labels(found), []
-    for name in (*MAIN, *REFERENCES):
-        fractions = [found.safe_fraction(scene, name) for scene in SCENES]
-        rows.append([labels[name], *(_cell(value, lambda value: f"{100 * value:.1f} %") for value in fractions)])
-    return ["method", *SCENES], rows
-
-
-def _time_table(found: Timing) -> Table:
-    """Median times in milliseconds at four numbers of obstacles."""
-    counts = found.settings.counts
-    shown = np.unique(np.searchsorted(counts, [counts[0], 10, 50, counts[-1]]).clip(0, len(counts) - 1))
-    rows = [[name.replace("_", " "), *(f"{1000 * found.median_s(name)[n]:.1f}" for n in shown)] for name in TIMED]
-    rows.append(["building the field", *(f"{1000 * found.field_s[n]:.0f}" for n in shown)])
-    return ["ms", *(str(counts[n]) for n in shown)], rows

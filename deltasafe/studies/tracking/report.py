@@ -1,12 +1,11 @@
 """Report of the tracking study: Markdown with its figure."""
 
 import pathlib
-from collections.abc import Iterable
 
 from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.reporting.templates import render
-from deltasafe.studies.tracking.bound import Coverage, coverage_of
+from deltasafe.studies.tracking.bound import coverage_of
 from deltasafe.studies.tracking.study import PAPER_MIN_SPEED_MPS, TrackingStudy
 
 
@@ -36,18 +35,4 @@ def _markdown(study: TrackingStudy) -> str:
         identified=identified,
         paper_slope=coverage_of(study.paper_slope_bound, study.held_out),
         paper_line=coverage_of(TrackingBound(), study.held_out, PAPER_MIN_SPEED_MPS),
-        coverage_table=_coverage_table,
     )
-
-
-def _coverage_table(coverage: Iterable[Coverage]) -> tuple[list[str], list[list[str]]]:
-    head = ["", "runs", "within", "lower 95 %", "samples", "within", "largest error", "largest excess"]
-    rows = [
-        [
-            *(one.name, f"{one.runs}", f"{one.run_fraction:.2%}", f"{one.runs_lower95:.2%}"),
-            *(f"{one.samples}", f"{one.sample_fraction:.3%}"),
-            *(f"{1e3 * one.largest_error_m:.3f} mm", f"{1e3 * one.largest_excess_m:+.3f} mm"),
-        ]
-        for one in coverage
-    ]
-    return head, rows
