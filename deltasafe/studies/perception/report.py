@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING
 
 from deltasafe.io.storage import atomic_folder
 from deltasafe.perception.calibration.ensemble_size import ensemble_size_table, ensemble_size_values
-from deltasafe.perception.calibration.metrics import Scores
 from deltasafe.reporting.templates import render
 from deltasafe.studies.perception.settings import Cell, StudySettings
 from deltasafe.studies.perception.tables import (
     SCHEME_TITLES,
-    AblationRow,
     Reports,
     SchemeRow,
     ablation_rows,
@@ -132,7 +130,7 @@ def _ablation(settings: StudySettings, reports: Reports) -> _Section:
 
     rows = ablation_rows(settings, reports)
     pictures = {"ablation.png": ablation_figure(rows)} if any(row.loss is not None for row in rows) else {}
-    text = render(_PACKAGE, "ablation.md.j2", rows=[_ablation_cells(row) for row in rows]) if rows else ""
+    text = render(_PACKAGE, "ablation.md.j2", rows=rows, units=_UNITS) if rows else ""
     whole = Cell("ours", settings.sizes[-1], settings.n_members)
     missing = missing_cells((whole, *settings.ablation()), reports)
     return _Section("Ablation: one method left out", missing, text.rstrip("\n"), pictures)
@@ -142,48 +140,13 @@ def _scheme_text(rows: Sequence[SchemeRow], settings: StudySettings) -> str:
     """Write Tables I and II in the paper's units with the paper's values, and the lead of our scheme."""
     if not rows:
         return ""
-    heads = [(f"{row.cell.n_images}", SCHEME_TITLES[row.cell.scheme], f"{row.cell.n_members}") for row in rows]
-    columns = {name: [_score(row, rows, name) for row in rows] for name in ("pixel_accuracy", "miou", "nll", "brier")}
     return render(
         _PACKAGE,
         "schemes.md.j2",
         settings=settings,
+        rows=rows,
         ours_is_best=ours_is_best(rows, settings),
-        member_rows=[sum(cells, ()) for cells in zip(heads, columns["pixel_accuracy"], columns["miou"], strict=True)],
-        ensemble_rows=[sum(cells, ()) for cells in zip(heads, columns["nll"], columns["brier"], strict=True)],
-        lead_rows=[
-            (*head[:2], *_intervals(row.lead_low, row.lead_high))
-            for head, row in zip(heads, rows, strict=True)
-            if row.lead_low is not None
-        ],
+        best={name: best_rows(rows, name) for name in _UNITS},
+        titles=SCHEME_TITLES,
+        units=_UNITS,
     ).rstrip("\n")
-
-
-def _score(row: SchemeRow, rows: Sequence[SchemeRow], name: str) -> tuple[str, str]:
-    """Format a score, in bold if it is the best of its size, with its sd or interval; and the paper's value."""
-    unit, value = _UNITS[name], _UNITS[name] * getattr(row.table_scores, name)
-    paper = "" if row.paper is None else f"{unit * getattr(row.paper, name):.1f}"
-    if name in ("nll", "brier"):
-        text = f"{value:.2f}"
-        interval = f" ({unit * getattr(row.low, name):.2f} to {unit * getattr(row.high, name):.2f})"
-    else:
-        sd = "" if row.members.sd is None else f" ± {unit * getattr(row.members.sd, name):.1f}"
-        text, interval = f"{value:.1f}{sd}", ""
-        paper += "" if row.paper is None else f" ± {unit * getattr(row.paper, f'{name}_sd'):.1f}"
-    return (f"**{text}**" if row in best_rows(rows, name) else text) + interval, paper
-
-
-def _ablation_cells(row: AblationRow) -> tuple[str, ...]:
-    values = [f"{unit * getattr(row.table_scores, name):.2f}" for name, unit in _UNITS.items()]
-    losses = _intervals(row.loss_low, row.loss_high)
-    pairs = (text for pair in zip(values, losses, strict=True) for text in pair)
-    return (row.cell.left_out.replace("_", " "), f"{row.cell.n_members}", *pairs)
-
-
-def _intervals(low: Scores | None, high: Scores | None) -> tuple[str, ...]:
-    """Format an interval of each measure in the paper's units and order; empty without an interval."""
-    if low is None or high is None:
-        return ("",) * len(_UNITS)
-    return tuple(
-        f"{unit * getattr(low, name):+.2f} to {unit * getattr(high, name):+.2f}" for name, unit in _UNITS.items()
-    )
