@@ -7,7 +7,7 @@ from typing import Any
 from deltasafe.reporting.markdown import number, percent, plus_minus, table
 
 
-def render(package: str, name: str, **values: Any) -> str:
+def render(package: str, name: str, /, **values: Any) -> str:
     """Render the template ``templates/NAME`` of a package.
 
     ``table(head, rows)``, ``percent``, ``plus_minus`` and the filter ``number`` of `deltasafe.reporting.markdown` are
