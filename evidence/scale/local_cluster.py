@@ -18,6 +18,7 @@ import time
 from collections.abc import Sequence
 from types import TracebackType
 
+from deltasafe.compute.processes import descendants, kill_with_descendants
 from deltasafe.errors import SettingsError
 
 _INSIDE = "DELTASAFE_IN_NAMESPACES"
@@ -120,7 +121,7 @@ class LocalCluster:
     def busy_pids(self) -> list[int]:
         """Return the PIDs of the worker processes that run a task of `deltasafe.compute.ray_executor`."""
         found = []
-        for pid in [pid for _, worker in self._hosts for pid in _descendants(worker.pid)]:
+        for pid in [pid for _, worker in self._hosts for pid in descendants(worker.pid)]:
             with contextlib.suppress(OSError):
                 if pathlib.Path(f"/proc/{pid}/cmdline").read_bytes().startswith(b"ray::deltasafe"):
                     found.append(pid)
@@ -158,21 +159,5 @@ def _ip(command: str) -> None:
 
 def _kill(process: "subprocess.Popen[bytes]") -> None:
     """SIGKILL a process that we started and all its descendants."""
-    for pid in [*_descendants(process.pid), process.pid]:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
+    kill_with_descendants(process.pid)
     process.wait()
-
-
-def _descendants(pid: int) -> list[int]:
-    children: dict[int, list[int]] = {}
-    for folder in pathlib.Path("/proc").iterdir():
-        with contextlib.suppress(OSError):
-            if folder.name.isdigit():
-                parent = int((folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()[1])
-                children.setdefault(parent, []).append(int(folder.name))
-    found, front = [], [pid]
-    while front:
-        front = [child for parent in front for child in children.get(parent, ())]
-        found += front
-    return found

@@ -56,14 +56,18 @@ def with_field(field: str, value: Any = None, *, remove: bool = False) -> Change
 
     def change(path: pathlib.Path, random: Random) -> None:
         record = json.loads(path.read_text())
-        *parents, last = field.split(".")
-        holder = record
-        for key in parents:
-            holder = holder[key]
-        if remove:
-            del holder[last]
-        else:
-            holder[last] = value
+        set_in(record, field.split("."), value, remove=remove)
         rewrite(path, json.dumps(record).encode())
 
     return change
+
+
+def set_in(record: Any, keys: Sequence[str], value: Any = None, *, remove: bool = False) -> None:
+    """Set or remove the value at a path of keys in nested dictionaries."""
+    *parents, last = keys
+    for key in parents:
+        record = record[key]
+    if remove:
+        del record[last]
+    else:
+        record[last] = value

@@ -3,7 +3,7 @@
 import base64
 import copy
 import pathlib
-from collections.abc import Callable
+from collections.abc import Sequence
 from random import Random
 from typing import Any
 
@@ -11,6 +11,7 @@ from deltasafe.interchange import export_scene, import_scene
 from deltasafe.interchange.mcap_log import open_log, read_log
 from deltasafe.interchange.scenes import CALIBRATION, FACTS, GOAL, IMAGE, MASK, MESH, START, TRANSFORM
 from deltasafe.scene import LoggedScene
+from evidence.faults.malformed.documents import set_in
 from evidence.faults.malformed.files import file_cases, file_changes, filled
 from evidence.faults.rejection import Case, Change, InputKind, rewrite
 
@@ -68,10 +69,6 @@ GOAL_ROTATIONS = {
     "zero": _quaternion(),
 }
 
-Messages = dict[str, dict[str, Any]]
-Edit = Callable[[Messages, Messages, dict[str, bytes]], Any]
-"""Edits the messages, facts and attachments of a log."""
-
 
 def log_cases(home: pathlib.Path, scene: pathlib.Path) -> list[Case]:
     """A log of a scene, as `import_scene` and ``deltasafe import`` read it."""
@@ -89,9 +86,7 @@ def log_cases(home: pathlib.Path, scene: pathlib.Path) -> list[Case]:
         changes[f"truncated at {fraction:g}"] = filled(data[: int(fraction * len(data))])
     for n in range(8):
         changes[f"a flipped bit, {n}"] = _bit_flipped
-    for name, edit in _edits().items():
-        changes[name] = _edited(edit)
-    return file_cases(kind, changes)
+    return file_cases(kind, changes | _edits())
 
 
 def _bit_flipped(path: pathlib.Path, random: Random) -> None:
@@ -101,67 +96,56 @@ def _bit_flipped(path: pathlib.Path, random: Random) -> None:
     rewrite(path, bytes(data))
 
 
-def _edited(edit: Edit) -> Change:
-    """Write the log again with edited messages, facts or attachments."""
+def _edited(keys: Sequence[str], value: Any = None, *, remove: bool = False) -> Change:
+    """Write the log again with one value of its messages, facts or attachments set or removed."""
 
     def change(path: pathlib.Path, random: Random) -> None:
         whole = read_log(path)
-        messages = {topic: copy.deepcopy(whole.messages[topic][0]) for topic in SCHEMA}
-        facts, attachments = copy.deepcopy(whole.facts), dict(whole.attachments)
-        edit(messages, facts, attachments)
+        log: dict[str, Any] = {
+            "messages": {topic: copy.deepcopy(whole.messages[topic][0]) for topic in SCHEMA},
+            "facts": copy.deepcopy(whole.facts),
+            "files": dict(whole.attachments),
+        }
+        set_in(log, keys, value, remove=remove)
         path.unlink()
-        with open_log(path) as log:
-            for topic, message in messages.items():
-                log.write_message(topic, SCHEMA[topic], 0, message)
-            for name, fact in facts.items():
-                log.write_facts(name, fact)
-            for name, data in attachments.items():
-                log.attach(name, "application/octet-stream", data)
+        with open_log(path) as opened:
+            for topic, message in log["messages"].items():
+                opened.write_message(topic, SCHEMA[topic], 0, message)
+            for name, fact in log["facts"].items():
+                opened.write_facts(name, fact)
+            for name, data in log["files"].items():
+                opened.attach(name, "application/octet-stream", data)
 
     return change
 
 
-def _without_message(topic: str) -> Edit:
-    return lambda messages, facts, files: messages.pop(topic)
+def _edits() -> dict[str, Change]:
+    def fact(name: str, value: Any) -> Change:
+        return _edited(("facts", FACTS, name), value)
 
+    def message(topic: str, *keys: str, value: Any) -> Change:
+        return _edited(("messages", topic, *keys), value)
 
-def _without_fact(name: str) -> Edit:
-    return lambda messages, facts, files: facts[FACTS].pop(name)
-
-
-def _without_file(name: str) -> Edit:
-    return lambda messages, facts, files: files.pop(name)
-
-
-def _with_fact(name: str, value: Any) -> Edit:
-    return lambda messages, facts, files: facts[FACTS].update({name: value})
-
-
-def _with_message(topic: str, key: str, value: Any) -> Edit:
-    return lambda messages, facts, files: messages[topic].update({key: value})
-
-
-def _rotated_goal(rotation: dict[str, float]) -> Edit:
-    return lambda messages, facts, files: messages[GOAL]["pose"].update(orientation=rotation)
-
-
-def _edits() -> dict[str, Edit]:
     no_base64 = base64.b64encode(b"jpeg").decode() + "?"
+    removed = {
+        **{topic: ("messages", topic) for topic in SCHEMA},
+        **{f"the fact {name}": ("facts", FACTS, name) for name in ("id", "table_z_m", "hand_height_m")},
+        **{name: ("files", name) for name in (MASK, MESH)},
+    }
     return {
-        **{f"without {topic}": _without_message(topic) for topic in SCHEMA},
-        **{f"without the fact {name}": _without_fact(name) for name in ("id", "table_z_m", "hand_height_m")},
-        **{f"without {name}": _without_file(name) for name in (MASK, MESH)},
-        "without facts": lambda messages, facts, files: facts.clear(),
-        "a mesh that is not a zip": lambda messages, facts, files: files.update({MESH: b"PK\x03\x04nothing"}),
+        **{f"without {name}": _edited(keys, remove=True) for name, keys in removed.items()},
+        "without facts": _edited(("facts",), {}),
+        "a mesh that is not a zip": _edited(("files", MESH), b"PK\x03\x04nothing"),
+        **{f"the fact {name} is {value!r}": fact(name, value) for name, values in FACT_VALUES for value in values},
         **{
-            f"the fact {name} is {value!r}": _with_fact(name, value) for name, values in FACT_VALUES for value in values
-        },
-        **{
-            f"{topic}.{key} is {value!r:.50}": _with_message(topic, key, value)
+            f"{topic}.{key} is {value!r:.50}": message(topic, key, value=value)
             for topic, key, values in MESSAGE_VALUES
             for value in values
         },
-        **{f"goal whose rotation is {name}": _rotated_goal(value) for name, value in GOAL_ROTATIONS.items()},
-        "start in millimeters": lambda messages, facts, files: messages[START]["pose"]["position"].update(x=-150.0),
-        "image with invalid base64 at its end": _with_message(IMAGE, "data", no_base64),
+        **{
+            f"goal whose rotation is {name}": message(GOAL, "pose", "orientation", value=value)
+            for name, value in GOAL_ROTATIONS.items()
+        },
+        "start in millimeters": message(START, "pose", "position", "x", value=-150.0),
+        "image with invalid base64 at its end": message(IMAGE, "data", value=no_base64),
     }
