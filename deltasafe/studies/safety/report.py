@@ -1,18 +1,22 @@
 """Report of the safety study: Markdown with figures, films of failures, and all trials beside it."""
 
+import math
 import pathlib
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.execution.film import save_film
 from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.reporting.templates import render
-from deltasafe.studies.safety import tables
-from deltasafe.studies.safety.evidence import evaluate_all, failures, touched
+from deltasafe.studies.safety.evidence import by_speed, evaluate_all, failures, pair, touched
 from deltasafe.studies.safety.runs import replay
-from deltasafe.studies.safety.settings import PARAMETRIC
+from deltasafe.studies.safety.settings import LABELS, METHODS, PARAMETRIC
 from deltasafe.studies.safety.study import SafetyStudy
+
+MAX_FAILURES = 60
+"""Failures that the report lists."""
 
 
 def figures_of(study: SafetyStudy) -> dict[str, float]:
@@ -94,12 +98,23 @@ def _film_failures(study: SafetyStudy, folder: pathlib.Path, progress: Progress)
 
 
 def _markdown(study: SafetyStudy, films: dict[int, str]) -> str:
-    settings, smallest = study.settings, study.inputs.smallest_supported_delta
+    settings, smallest, failed = study.settings, study.inputs.smallest_supported_delta, failures(study).tolist()
+    results = list(evaluate_all(study))
+    # filmed failures first, then ours, then by number
+    listed = sorted(failed, key=lambda number: (number not in films, study.trials["method"][number] > 0, number))
     return render(
         "deltasafe.studies.safety",
         "report.md.j2",
         study=study,
         settings=settings,
+        results=results,
+        by_speed=by_speed,
+        pair=pair,
+        reasons=sorted({reason for found in results for reason in found.refusals}),
+        miss_rates=_miss_rates(study) if "single_member" in settings.compared else {},
+        is_finite=math.isfinite,
+        names=LABELS,
+        methods=METHODS,
         minutes=study.effort.minutes,
         executed=int(study.executed.sum()),
         n_trials=len(study.executed),
@@ -109,7 +124,18 @@ def _markdown(study: SafetyStudy, films: dict[int, str]) -> str:
         unsupported=[f"{delta:g}" for delta in settings.deltas if smallest is None or delta < smallest],
         parametric=[name for name in PARAMETRIC if name in settings.compared],
         pose_spacing_m=settings.motion.v_max_mps / settings.execution.record_rate_hz,
-        failures=failures(study).tolist(),
+        n_failures=len(failed),
+        listed=[(n, {name: column[n] for name, column in study.trials.items()}) for n in listed[:MAX_FAILURES]],
         films=films,
-        tables=tables,
     )
+
+
+def _miss_rates(study: SafetyStudy) -> dict[float, dict[str, NDArray[np.float64]]]:
+    """Return the miss rates of ensemble and single member in the scenarios of the latter, by delta."""
+    miss_rate, scenario = study.trials["miss_rate"], study.trials["scenario"]
+    chosen = {}
+    for delta in study.settings.deltas:
+        single = study.of("single_member", delta)
+        ours = study.of("ours", delta) & np.isin(scenario, scenario[single])
+        chosen[delta] = {"single": miss_rate[single], "ensemble": miss_rate[ours]}
+    return chosen
