@@ -44,6 +44,11 @@ def test_functions_have_60_lines_and_7_parameters_at_most():
     assert over == {}
 
 
+def test_only_front_doors_list_public_names():
+    listing = [path for path in MODULES if "\n__all__ = " in path.read_text(encoding="utf-8")]
+    assert {path.relative_to(ROOT).as_posix() for path in listing if path.name != "__init__.py"} == set()
+
+
 @pytest.mark.parametrize("path", sorted((ROOT / "assets").rglob("*.py")), ids=lambda path: path.name)
 def test_assets_are_thin_sentences(path):
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
