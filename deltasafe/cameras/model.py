@@ -195,12 +195,29 @@ class CameraModel:
         """Map pixel coordinates (N, 2) of undistorted images to those of the images that the camera takes."""
         return self._distorted(uv, self.zoom)
 
-    def project(self, points_m: Array) -> Array:
-        """Project world points (N, 3) to pixel coordinates (N, 2) of images that the camera takes; NaN if behind."""
-        uv, _ = self.pinhole().project(points_m)
-        seen = ~np.isnan(uv).any(axis=1)
-        uv[seen] = self.distort(uv[seen])
+    def pixels(self, points_m: Array) -> Array:
+        """Project points (N, 3) in the camera's frame to pixel coordinates (N, 2) of the images that it takes.
+
+        Points that are not in front of the camera have NaN.
+        """
+        points_m = np.asarray(points_m, np.float64)
+        uv = np.full((len(points_m), 2), np.nan)
+        front = points_m[:, 2] > 0
+        if front.any():
+            project = cv2.fisheye.projectPoints if self._is_fisheye else cv2.projectPoints
+            seen = np.ascontiguousarray(points_m[front, None] / points_m[front, None, 2:])
+            found, _ = project(seen, np.zeros(3), np.zeros(3), self.matrix, self.coefficients)
+            uv[front] = found.reshape(-1, 2) + HALF_PIXEL
         return uv
+
+    def project(self, points_m: Array) -> Array:
+        """Project world points (N, 3) as `pixels` does.
+
+        Raises:
+            SettingsError: the pose is unknown.
+        """
+        camera = self.pinhole()
+        return self.pixels((np.asarray(points_m, np.float64) - camera.position_m) @ camera.world_from_camera_rotation)
 
     @property
     def _is_fisheye(self) -> bool:
@@ -220,13 +237,8 @@ class CameraModel:
         )
 
     def _distorted(self, uv: Array, zoom: float) -> Array:
-        if not len(uv):
-            return np.empty((0, 2))
         slopes = (np.asarray(uv, np.float64) - (self.cx, self.cy)) / (self.fx * zoom, self.fy * zoom)
-        rays = np.column_stack([slopes, np.ones(len(slopes))])[:, None]
-        project = cv2.fisheye.projectPoints if self._is_fisheye else cv2.projectPoints
-        uv_opencv, _ = project(rays, np.zeros(3), np.zeros(3), self.matrix, self.coefficients)
-        return np.asarray(uv_opencv.reshape(-1, 2) + HALF_PIXEL)
+        return self.pixels(np.column_stack([slopes, np.ones(len(slopes))]))
 
     def _is_covered(self, zoom: float) -> bool:
         """Whether each pixel of the undistorted image lies in the image, and the distortion does not fold between."""
