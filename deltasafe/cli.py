@@ -4,6 +4,7 @@ import argparse
 import pathlib
 import sys
 
+from deltasafe.camera_commands import add_camera_commands
 from deltasafe.errors import DataError, DeltasafeError
 
 
@@ -60,6 +61,8 @@ def _parser() -> argparse.ArgumentParser:
     importing.set_defaults(run=_import)
     importing.add_argument("log", type=path, help="file to read (.mcap)")
     importing.add_argument("folder", type=path, help="folder to write")
+
+    add_camera_commands(commands)
     return parser
 
 

@@ -12,8 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from deltasafe.cameras.board import Board
 
-__all__ = ["Lens", "View", "look_at", "render_board"]
-
 Array = NDArray[np.float64]
 
 PX_PER_M = 8000
@@ -75,8 +73,10 @@ def render_board(
     on_table = (view.position_m + rays * depth[:, None])[:, :2] - board_pose[:2]
     cos, sin = np.cos(board_pose[3]), np.sin(board_pose[3])
     right, down = on_table @ [cos, sin], board.extent_m[1] - on_table @ [-sin, cos]
-    on_paper = [np.float32((axis + QUIET_M) * PX_PER_M - 0.5).reshape(-1, SAMPLES * width) for axis in (right, down)]
-    seen = cv2.remap(_paper(board), *on_paper, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=TABLE_GRAY)
+    u, v = (
+        ((axis + QUIET_M) * PX_PER_M - 0.5).astype(np.float32).reshape(-1, SAMPLES * width) for axis in (right, down)
+    )
+    seen = cv2.remap(_paper(board), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=TABLE_GRAY)
     image = np.full(lens.size[::-1], TABLE_GRAY, np.float32)
     image[top : top + height, left : left + width] = cv2.resize(
         seen.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA
@@ -101,10 +101,11 @@ def _window(board: Board, lens: Lens, view: View, board_pose: tuple[float, float
 def _exposed(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Add blur, uneven light and noise, and make three equal channels."""
     height, width = image.shape
-    image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.5, 0.9))
-    light = np.linspace(*rng.uniform(0.6, 1.0, 2), width) * np.linspace(*rng.uniform(0.8, 1.0, 2), height)[:, None]
-    image = image * light + rng.normal(15, 4, image.shape)
-    return np.repeat(np.uint8(np.clip(image, 0, 255))[..., None], 3, axis=2)
+    left, right, top, bottom = rng.uniform((0.6, 0.6, 0.8, 0.8), 1.0)
+    light = np.linspace(left, right, width) * np.linspace(top, bottom, height)[:, None]
+    blurred = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.5, 0.9))
+    gray = np.clip(blurred * light + rng.normal(15, 4, image.shape), 0, 255).astype(np.uint8)
+    return np.repeat(gray[..., None], 3, axis=2)
 
 
 def _undistort(points: Array, matrix: Array, distortion: Array) -> Array:
@@ -116,4 +117,4 @@ def _paper(board: Board) -> NDArray[np.uint8]:
     pixels = [round(length * PX_PER_M) for length in board.extent_m]
     pattern = board.opencv.generateImage(pixels, marginSize=0)
     quiet = round(QUIET_M * PX_PER_M)
-    return np.asarray(cv2.copyMakeBorder(pattern, *[quiet] * 4, cv2.BORDER_CONSTANT, value=255), np.uint8)
+    return np.asarray(cv2.copyMakeBorder(pattern, quiet, quiet, quiet, quiet, cv2.BORDER_CONSTANT, value=255), np.uint8)

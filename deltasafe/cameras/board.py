@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.io.storage import atomic_file
 
-__all__ = ["Board", "draw_board"]
-
 Array = NDArray[np.float64]
 
 DICTIONARIES = {"charuco": "DICT_5X5_100", "apriltag": "DICT_APRILTAG_36h11"}
@@ -23,7 +21,7 @@ SYNTAX = "charuco:COLUMNSxROWS:SQUARE:MARKER[:DICTIONARY] or apriltag:COLUMNSxRO
 SMALLEST_M, LARGEST_M, MOST = 0.002, 1.0, 40
 
 PAGES_MM = {"A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841)}
-MARGIN_MM, CAPTION_MM, RULER_MM = 12, 18, 100
+MARGIN_MM, CAPTION_MM, RULER_MM = 8, 18, 100
 DPI = 300
 PX_PER_MODULE = 40
 MM_PER_INCH = 25.4

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,8 +14,6 @@ from deltasafe.cameras.board import Board
 from deltasafe.cameras.model import HALF_PIXEL, CameraModel
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import Pose
-
-__all__ = ["LocatedCamera", "locate_camera"]
 
 Array = NDArray[np.float64]
 
@@ -71,11 +70,11 @@ def locate_camera(
     """
     height, width = image.shape[:2]
     model = model.resized(width, height)
-    corners_m, corners_uv = _detect(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), board)
+    corners_m, corners_uv, n_markers = _detect(image, board)
     if len(corners_uv) < MIN_CORNERS:
         raise SettingsError(
-            f"{len(corners_uv)} corners of the board were found, {MIN_CORNERS} are needed; check the board's "
-            "description, and show all of it, flat, sharp, evenly lit and larger in the image"
+            f"shows {len(corners_uv)} corners of the board, {MIN_CORNERS} are needed, and {n_markers} markers of its "
+            "dictionary; check the board's description, and show all of it, flat, sharp, evenly lit and larger"
         )
     fits = sorted(
         (_refined(model, corners_m, corners_uv, *start) for start in _starts(model, corners_m, corners_uv)),
@@ -86,23 +85,28 @@ def locate_camera(
     return _in_world(best, origin or Pose(0.0, 0.0, 0.0, 0.0))
 
 
-def _detect(gray: NDArray[np.uint8], board: Board) -> tuple[Array, Array]:
-    """Detected corners: in the board's frame (N, 3), and in the image (N, 2) with the first pixel at [0, 1)."""
-    parameters = cv2.aruco.DetectorParameters()
+def _detect(image: NDArray[np.uint8], board: Board) -> tuple[Array, Array, int]:
+    """Detected corners in the board's frame (N, 3) and in the image (N, 2), and the number of markers of any board."""
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    parameters: Any = cv2.aruco.DetectorParameters()
+    found: Any
+    ids: Any
     if board.kind == "charuco":
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        found, ids, _, _ = cv2.aruco.CharucoDetector(board.opencv, detectorParams=parameters).detectBoard(gray)
+        found, ids, _, markers = cv2.aruco.CharucoDetector(board.opencv, detectorParams=parameters).detectBoard(gray)
         places = np.asarray(board.opencv.getChessboardCorners())
-    else:  # 0.1 px instead of the 0.5 px of the other methods
+        shift = HALF_PIXEL
+    else:  # 0.1 px instead of the 0.5 px of the other methods; it puts the center of the first pixel at (0.5, 0.5)
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
         found, ids, _ = cv2.aruco.ArucoDetector(board.opencv.getDictionary(), parameters).detectMarkers(gray)
-        places = np.asarray(board.opencv.getObjPoints())
+        places, markers, shift = np.asarray(board.opencv.getObjPoints()), ids, 0.0
+    n_markers = 0 if markers is None else len(markers)
     numbers = np.empty(0, int) if ids is None else np.asarray(ids).ravel()
     known = numbers < len(places)  # another board may lie beside this one
     if not known.any():
-        return np.empty((0, 3)), np.empty((0, 2))
-    corners_uv = np.asarray(found, np.float64)[known].reshape(-1, 2) + HALF_PIXEL
-    return board.from_opencv(places[numbers[known]]), corners_uv
+        return np.empty((0, 3)), np.empty((0, 2)), n_markers
+    corners_uv = np.asarray(found, np.float64)[known].reshape(-1, 2) + shift
+    return board.from_opencv(places[numbers[known]]), corners_uv, n_markers
 
 
 def _starts(model: CameraModel, corners_m: Array, corners_uv: Array) -> list[tuple[Rotation, Array]]:

@@ -1,5 +1,7 @@
 """Picture of a located camera: the board's axes, its outline and its corners over the image."""
 
+import itertools
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -8,8 +10,6 @@ from scipy.spatial.transform import Rotation
 from deltasafe.cameras.board import Board
 from deltasafe.cameras.locate import LocatedCamera
 from deltasafe.geometry import Pose
-
-__all__ = ["draw_located"]
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def draw_located(image: NDArray[np.uint8], located: LocatedCamera, board: Board,
         return uv
 
     outline = np.array([(0, 0, 0), (width_m, 0, 0), (width_m, height_m, 0), (0, height_m, 0), (0, 0, 0)])
-    for first, last in zip(outline, outline[1:], strict=False):
+    for first, last in itertools.pairwise(outline):
         line(np.linspace(first, last, 20), OUTLINE, 1.2)
     for u, v in located.corners_uv - 0.5:
         center = round(u * 2**FRACTION_BITS), round(v * 2**FRACTION_BITS)
@@ -46,16 +46,9 @@ def draw_located(image: NDArray[np.uint8], located: LocatedCamera, board: Board,
     length_m = min(width_m, height_m) / 2
     for (name, color), axis in zip(AXES.items(), np.eye(3), strict=True):
         uv = line(np.linspace((0, 0, 0), axis * length_m, 20), color, 3)
-        if len(uv) and (np.abs(uv[-1]) < 1e5).all():
-            place = round(uv[-1, 0] + 4 * unit_px), round(uv[-1, 1])
-            cv2.putText(
-                picture,
-                name,
-                place,
-                cv2.FONT_HERSHEY_SIMPLEX,
-                0.7 * unit_px,
-                color,
-                max(round(2 * unit_px), 1),
-                cv2.LINE_AA,
-            )
+        if len(uv) == 20 and np.abs(uv).max() < 1e5:
+            beyond = uv[-1] + 14 * unit_px * (uv[-1] - uv[-2]) / max(float(np.linalg.norm(uv[-1] - uv[-2])), 1e-9)
+            place = round(beyond[0] - 6 * unit_px), round(beyond[1] + 5 * unit_px)
+            width = max(round(2 * unit_px), 1)
+            cv2.putText(picture, name, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * unit_px, color, width, cv2.LINE_AA)
     return picture
