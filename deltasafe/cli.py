@@ -6,6 +6,7 @@ import sys
 
 from deltasafe.camera_commands import add_camera_commands
 from deltasafe.errors import DataError, DeltasafeError
+from deltasafe.hands_commands import add_hands_commands
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -63,6 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     importing.add_argument("folder", type=path, help="folder to write")
 
     add_camera_commands(commands)
+    add_hands_commands(commands)
     return parser
 
 

@@ -13,6 +13,7 @@ from PIL import Image
 
 from deltasafe.errors import DataError
 from deltasafe.io.storage import digest_of, sha256_of_file
+from deltasafe.perception.data.masks import read_mask
 
 _EXIF_ORIENTATION = 0x0112
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -129,26 +130,6 @@ def read_rgb(path: str | pathlib.Path) -> np.ndarray:
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise DataError(path, f"has {_channels(image)}; convert it to RGB with 8 bits per channel")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-
-
-def read_mask(path: str | pathlib.Path) -> np.ndarray:
-    """Read a mask as ``(H, W)`` uint8: 255 marks the hand, 0 everything else.
-
-    Raises:
-        DataError: the file is missing, cannot be decoded, holds other values, or marks no hand.
-    """
-    path = pathlib.Path(path)
-    mask = _decode(path)
-    if mask.ndim != 2 or mask.dtype != np.uint8:
-        raise DataError(path, f"has {_channels(mask)}; convert the mask to one channel with 8 bits")
-    values = np.unique(mask)
-    if not np.isin(values, (0, 255)).all():
-        found = ", ".join(str(value) for value in values if value not in (0, 255))
-        hint = "" if path.suffix.lower() == ".png" else "; JPEG compression changes the values of a mask"
-        raise DataError(path, f"holds the value(s) {found[:60]}; only 0 and 255 are allowed, store it as PNG{hint}")
-    if 255 not in values:
-        raise DataError(path, "marks no hand (no pixel is 255); label the image, or remove it from the set")
-    return mask
 
 
 def read_or_none(

@@ -1,0 +1,1 @@
+"""Labels of other tools, converted to a set of images and masks."""

@@ -1,0 +1,224 @@
+"""Convert the labels of other tools to a set of images and masks."""
+
+import collections
+import dataclasses
+import pathlib
+import re
+import shutil
+import unicodedata
+from collections.abc import Collection, Sequence
+from typing import ClassVar
+
+import cv2
+import numpy as np
+
+from deltasafe.errors import DataError
+from deltasafe.io.storage import atomic_folder, write_json
+from deltasafe.perception.data.importing.formats import read_source
+from deltasafe.perception.data.importing.settings import ImportSettings
+from deltasafe.perception.data.importing.source import LabelSource, SourceImage
+from deltasafe.perception.data.labeled_images import LabeledImageSet, read_rgb
+from deltasafe.perception.data.labeled_images_figure import labeled_images_figure
+from deltasafe.perception.data.masks import ANY_CLASS, polarity_defect
+from deltasafe.reporting.markdown import table
+
+_MAX_LISTED = 20
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportedImage:
+    """What became of one image of the source.
+
+    Attributes:
+        source: its name in the source.
+        id: in the new set; empty if it was skipped.
+        marked: fraction of the image that is obstacle.
+        reason: why it was skipped; else notes.
+    """
+
+    source: str
+    id: str = ""
+    marked: float = 0.0
+    reason: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportReport:
+    """Result of a conversion.
+
+    Attributes:
+        folder: of the new set.
+        format: of the source.
+        classes: that are the obstacle.
+        images: of the source, in its order.
+    """
+
+    RECORD: ClassVar[str] = "import.json"
+    TABLE: ClassVar[str] = "import.md"
+    SHEET: ClassVar[str] = "contact_sheet.jpg"
+    folder: pathlib.Path
+    format: str
+    classes: tuple[str, ...]
+    images: tuple[ImportedImage, ...]
+
+    @property
+    def skipped(self) -> tuple[ImportedImage, ...]:
+        """Return the images that were not converted."""
+        return tuple(image for image in self.images if not image.id)
+
+    def text(self) -> str:
+        """Format the result as Markdown."""
+        rows = [
+            (image.source, image.id or "skipped", f"{image.marked:.1%}" if image.id else "", image.reason)
+            for image in sorted(self.images, key=lambda image: bool(image.id))
+        ]
+        return f"{self.summary()}\n\n{table(('source', 'image', 'marked', 'note'), rows)}\n"
+
+    def summary(self) -> str:
+        """Say in one sentence what was converted."""
+        n = len(self.images) - len(self.skipped)
+        obstacle = ", ".join(self.classes)
+        return f"{n} images of the format {self.format}, obstacle: {obstacle}; {len(self.skipped)} skipped"
+
+
+def import_hands(
+    source: str | pathlib.Path, folder: str | pathlib.Path, settings: ImportSettings | None = None
+) -> ImportReport:
+    """Convert labels of another tool to a set that `LabeledImageSet.load` reads; writes it atomically.
+
+    The new folder holds ``images/``, ``masks/``, a contact sheet of all masks over their images, and a table of what
+    was converted and what was skipped (``import.md``, ``import.json``).
+
+    Args:
+        source: the label file, or the folder with labels and images.
+        folder: to write; it must be missing or empty.
+        settings: format, classes, and how masks are read.
+
+    Raises:
+        DataError: the source is unreadable or its meaning is ambiguous, nothing can be converted, or ``folder`` is
+            in use.
+    """
+    source, folder, settings = pathlib.Path(source), pathlib.Path(folder), settings or ImportSettings()
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise DataError(folder, "exists already; give a new folder")
+    labels = read_source(source, settings)
+    classes = _chosen_classes(source, labels, settings)
+    _check_polarity(source, labels, classes, settings)
+    with atomic_folder(folder) as temporary:
+        images = _convert(labels, classes, settings, temporary)
+        report = ImportReport(folder, labels.format, tuple(classes), images)
+        if len(report.skipped) == len(images):
+            raise DataError(source, f"holds nothing to convert: {_reasons(images)}; label images, give other options")
+        hands = LabeledImageSet.load(temporary)
+        (temporary / ImportReport.SHEET).write_bytes(labeled_images_figure(hands, n_images=len(hands), columns=6))
+        (temporary / ImportReport.TABLE).write_text(report.text(), encoding="utf-8")
+        record = {"format": labels.format, "settings": settings, "classes": classes, "images": images}
+        write_json(temporary / ImportReport.RECORD, record)
+    return report
+
+
+def _chosen_classes(source: pathlib.Path, labels: LabelSource, settings: ImportSettings) -> list[str]:
+    """Return the classes that are the obstacle.
+
+    Raises:
+        DataError: none is found, the choice is ambiguous, or a chosen one does not occur; lists what was found.
+    """
+    counts = collections.Counter(name for image in labels.images for name in image.classes)
+    listed = ", ".join(f"{name} ({n} images)" for name, n in counts.most_common(_MAX_LISTED)) or "none"
+    if settings.threshold:
+        return [f">= {settings.threshold:g}"]
+    if ANY_CLASS in settings.classes:
+        return sorted(counts)
+    if unknown := [name for name in settings.classes if name not in counts and name != "void"]:
+        raise DataError(source, f"has no class {', '.join(unknown)}; choose from those found: {listed}")
+    if not settings.classes and len(counts) > 1:
+        soft = ", or --threshold 0.5 if the masks are soft" if any(image.mask_file for image in labels.images) else ""
+        raise DataError(source, f"has several classes: {listed}; give --class for each that is the obstacle{soft}")
+    return list(settings.classes) or sorted(counts)
+
+
+def _check_polarity(source: pathlib.Path, labels: LabelSource, classes: list[str], settings: ImportSettings) -> None:
+    """Refuse mask files that are probably inverted.
+
+    Raises:
+        DataError: lists them.
+    """
+    if settings.large_masks:
+        return
+    found = []
+    for image in labels.images:
+        if image.mask_file and (defect := polarity_defect(image.mask(classes))):
+            found.append(f"{image.name} {defect}")
+    if found:
+        more = f"\n- and {len(found) - _MAX_LISTED} more" if len(found) > _MAX_LISTED else ""
+        listed = "".join(f"\n- {text}" for text in found[:_MAX_LISTED])
+        raise DataError(source, f"give --inverted if they are, --large-masks if they are right:{listed}{more}")
+
+
+def _convert(
+    labels: LabelSource, classes: list[str], settings: ImportSettings, folder: pathlib.Path
+) -> tuple[ImportedImage, ...]:
+    for name in ("images", "masks"):
+        (folder / name).mkdir()
+    converted = []
+    for image, stem in zip(labels.images, _stems(labels.images), strict=True):
+        try:
+            converted.append(_convert_image(image, stem, classes, settings, folder))
+        except DataError as error:
+            converted.append(ImportedImage(image.name, reason=error.reason))
+        except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:  # a malformed region
+            converted.append(ImportedImage(image.name, reason=" ".join(str(error).split())[:200]))
+    return tuple(converted)
+
+
+def _convert_image(
+    image: SourceImage, stem: str, classes: Collection[str], settings: ImportSettings, folder: pathlib.Path
+) -> ImportedImage:
+    if image.image is None:
+        return ImportedImage(image.name, reason="the image is missing; put it below the source")
+    if not image.is_labeled and not settings.keep_unlabeled:
+        return ImportedImage(image.name, reason="has no annotation; --keep-unlabeled takes it as free of the obstacle")
+    suffix = image.image.suffix.lower() if isinstance(image.image, pathlib.Path) else ".png"
+    copy, mask_file = folder / "images" / f"{stem}{suffix}", folder / "masks" / f"{stem}.png"
+    if isinstance(image.image, bytes):
+        copy.write_bytes(image.image)
+    else:
+        shutil.copyfile(image.image, copy)
+    try:
+        shape = read_rgb(copy).shape[:2]
+        has_mask = settings.threshold or settings.inverted or image.classes & set(classes) or "void" in classes
+        mask = np.asarray(image.mask(classes)) if has_mask else np.zeros(shape, bool)
+        if mask.shape != shape:
+            sizes = f"{mask.shape[1]} x {mask.shape[0]}, its image {shape[1]} x {shape[0]}"
+            raise ValueError(f"the label is for {sizes}; label the image of this size")
+    except Exception:
+        copy.unlink()
+        raise
+    mask_file.write_bytes(cv2.imencode(".png", mask.astype(np.uint8) * 255)[1].tobytes())
+    return ImportedImage(image.name, stem, float(mask.mean()), "; ".join(image.notes))
+
+
+def _stems(images: Sequence[SourceImage]) -> list[str]:
+    """Return a distinct file name for each image: its own, with that of its folder where two are equal."""
+    short = [_clean(pathlib.PurePosixPath(image.name.replace("\\", "/")).stem) for image in images]
+    counts = collections.Counter(name.casefold() for name in short)
+    taken: set[str] = set()
+    stems = []
+    for image, name in zip(images, short, strict=True):
+        parent = image.image.parent.name if isinstance(image.image, pathlib.Path) else ""
+        stem = name if counts[name.casefold()] == 1 or not parent else f"{_clean(parent)}_{name}"
+        candidate, n = stem, 2
+        while candidate.casefold() in taken:
+            candidate, n = f"{stem}_{n}", n + 1
+        taken.add(candidate.casefold())
+        stems.append(candidate)
+    return stems
+
+
+def _clean(name: str) -> str:
+    return re.sub(r"[\x00-\x1f/\\:*?\"<>|]", "_", unicodedata.normalize("NFC", name)).lstrip(".") or "image"
+
+
+def _reasons(images: Sequence[ImportedImage]) -> str:
+    reasons = collections.Counter(image.reason for image in images)
+    return ", ".join(f"{n} x {reason}" for reason, n in reasons.most_common(5)) or "no image"

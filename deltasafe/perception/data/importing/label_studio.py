@@ -1,0 +1,110 @@
+"""Labels of Label Studio, exported as JSON: polygons, brush strokes, rectangles and ellipses."""
+
+import functools
+import math
+import pathlib
+import re
+import urllib.parse
+from typing import Any
+
+import numpy as np
+
+from deltasafe.perception.data.importing.rasterize import brush_alpha, ellipse, polygons
+from deltasafe.perception.data.importing.source import (
+    Files,
+    Mask,
+    Shape,
+    SourceImage,
+    label_errors,
+    numbers,
+    side_lengths,
+    union,
+)
+
+_AREAS = ("polygon", "brush", "magicwand", "rectangle", "ellipse")
+_IMAGE = re.compile(r"\.(jpe?g|png|webp|bmp|tiff?|hei[cf]|avif)$", re.IGNORECASE)
+
+
+def label_studio_images(path: pathlib.Path, tasks: Any, files: Files) -> list[SourceImage]:
+    """Return the images of an export. Regions may overlap; those of other labels hide nothing.
+
+    Of several annotations of a task, the one marked as ground truth is used, else the newest.
+
+    Raises:
+        DataError: the export is malformed.
+    """
+    with label_errors(path):
+        return [_image(task, files, path.parent) for task in tasks]
+
+
+def _image(task: dict[str, Any], files: Files, folder: pathlib.Path) -> SourceImage:
+    reference = _reference(task["data"])
+    name = reference.rsplit("/", 1)[-1]
+    image = files.find(reference, folder) or files.find(re.sub(r"^[0-9a-f]{8}-", "", name), folder)
+    submitted = [one for one in task["annotations"] if not one.get("was_cancelled")]
+    submitted.sort(key=lambda one: (bool(one.get("ground_truth")), str(one.get("updated_at", "")), one.get("id", 0)))
+    notes: tuple[str, ...] = ()
+    if len(submitted) > 1:
+        kind = "the ground truth" if submitted[-1].get("ground_truth") else "the newest"
+        notes += (f"{kind} of {len(submitted)} annotations taken",)
+    regions = _regions(submitted[-1]["result"]) if submitted else []
+    areas = [(label, region) for label, region in regions if _kind(region) in _AREAS]
+    if len(areas) < len(regions):
+        notes += (f"{len(regions) - len(areas)} lines or points left out",)
+    if rectangles := sum(_kind(region) == "rectangle" for _, region in areas):
+        notes += (f"{rectangles} rectangles filled",)
+    classes = frozenset(label for label, _ in areas)
+    return SourceImage(name, image, classes, functools.partial(_mask, areas), bool(submitted), notes)
+
+
+def _reference(data: dict[str, Any]) -> str:
+    """Return the path of the image; tasks name it by an address, an upload, or a path after ``?d=``."""
+    texts = [value for value in data.values() if isinstance(value, str)]
+    parsed = [urllib.parse.urlsplit(text) for text in texts]
+    paths = [urllib.parse.parse_qs(url.query).get("d", [urllib.parse.unquote(url.path)])[0] for url in parsed]
+    images = [path for path in paths if _IMAGE.search(path)]
+    if len(images) != 1:
+        raise ValueError(f"a task has {len(images)} images in its data: {texts}")
+    return images[0]
+
+
+def _regions(results: list[dict[str, Any]]) -> list[tuple[str, dict[str, Any]]]:
+    """Return the regions with their label; a separate control gives region and label as two results with one id."""
+    labels: dict[Any, str] = {}
+    for result in results:
+        for key, value in result.get("value", {}).items():
+            if key.endswith("labels") and value:
+                labels[result.get("id")] = str(value[0])
+    regions = {result.get("id"): result for result in results if _kind(result) not in ("", "labels", "choices")}
+    return [(labels[key], region) for key, region in regions.items() if key in labels]
+
+
+def _kind(result: dict[str, Any]) -> str:
+    return str(result.get("type", "")).removesuffix("labels") or "labels"
+
+
+def _mask(areas: list[tuple[str, dict[str, Any]]], classes: frozenset[str]) -> Mask:
+    sizes = {side_lengths(region, "original_height", "original_width") for _, region in areas}
+    if len(sizes) != 1:
+        raise ValueError("no region gives the size of the image" if not sizes else f"regions of several sizes: {sizes}")
+    height, width = sizes.pop()
+    shapes = [Shape(label, functools.partial(_pixels, region, height, width)) for label, region in areas]
+    return union(shapes, height, width, classes)
+
+
+def _pixels(region: dict[str, Any], height: int, width: int) -> Mask:
+    if region.get("image_rotation"):
+        raise ValueError(f"the image is turned by {region['image_rotation']} degrees in Label Studio; turn it back")
+    value, scale = region["value"], np.array([width, height]) / 100
+    if "rle" in value:
+        return brush_alpha(value["rle"], height, width) > 127
+    if "points" in value:
+        return polygons([numbers(value["points"]) * scale], height, width)
+    angle_rad = math.radians(value.get("rotation", 0))
+    origin = np.array([value["x"], value["y"]]) * scale
+    if "radiusX" in value:
+        radii = (value["radiusX"] * scale[0], value["radiusY"] * scale[1])
+        return ellipse((origin[0], origin[1]), radii, angle_rad, height, width)
+    across, down = value["width"] * scale[0], value["height"] * scale[1]
+    turn = np.array([[math.cos(angle_rad), math.sin(angle_rad)], [-math.sin(angle_rad), math.cos(angle_rad)]])
+    return polygons([origin + np.array([[0, 0], [across, 0], [across, down], [0, down]]) @ turn], height, width)

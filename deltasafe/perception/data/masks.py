@@ -1,0 +1,219 @@
+"""Masks as tools write them: one bit, gray, palette, colors, alpha or 16 bits."""
+
+import dataclasses
+import functools
+import io
+import pathlib
+import warnings
+from collections.abc import Collection, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from deltasafe.errors import DataError
+
+ANY_CLASS = "*"
+MAX_AREA, MAX_BORDER = 0.5, 0.9
+_MAX_PIXELS = 80_000_000
+_EXIF_ORIENTATION = 0x0112
+_MAX_NAMED = 8
+Pixels = NDArray[np.uint8]
+Codes = NDArray[np.uint32]
+
+
+@dataclasses.dataclass(frozen=True)
+class MaskPlane:
+    """A decoded mask, before it is decided which pixels are obstacle.
+
+    Attributes:
+        path: of the file.
+        codes: ``(H, W)`` gray values, or colors as ``0xRRGGBB``; 0 is the background.
+        full_scale: the largest possible gray value, or 0 if the codes are colors.
+        names: names of codes, where the format has them. A code without one is named by its value.
+    """
+
+    path: pathlib.Path
+    codes: Codes
+    full_scale: int
+    names: Mapping[int, str] = dataclasses.field(default_factory=dict)
+
+    @functools.cached_property
+    def classes(self) -> dict[str, int]:
+        """Pixels of each class that occurs, without the background, by name."""
+        codes, counts = np.unique(self.codes, return_counts=True)
+        return {self.name(int(code)): int(n) for code, n in zip(codes, counts, strict=True) if code}
+
+    @property
+    def has_background(self) -> bool:
+        """Whether some pixel is 0."""
+        return bool((self.codes == 0).any())
+
+    def name(self, code: int) -> str:
+        """Return the name of a code: that of the format, the gray value, or the color as ``#rrggbb``."""
+        return self.names.get(code) or (str(code) if self.full_scale else f"#{code:06x}")
+
+    def select(self, classes: Collection[str]) -> NDArray[np.bool_]:
+        """Return the pixels ``(H, W)`` of the classes."""
+        if ANY_CLASS in classes:
+            return np.asarray(self.codes != 0)
+        present = (int(code) for code in np.unique(self.codes) if code)
+        return np.isin(self.codes, [code for code in present if self.name(code) in classes])
+
+    def above(self, threshold: float) -> NDArray[np.bool_]:
+        """Return the pixels ``(H, W)`` at or above a fraction of full scale, of a gray mask or one of a single hue.
+
+        Raises:
+            DataError: the bright pixels have several hues.
+        """
+        if self.full_scale:
+            return np.asarray(self.codes >= threshold * self.full_scale)
+        channels = np.stack([self.codes >> shift & 255 for shift in (16, 8, 0)], axis=-1).astype(np.float64)
+        brightness = channels.max(axis=-1)
+        bright = channels[brightness >= 255 * threshold]
+        if len(bright):
+            hue = np.median(bright, axis=0)
+            along = (bright @ hue / max(hue @ hue, 1.0))[:, None] * hue
+            if np.abs(bright - along).max() > 64:
+                raise DataError(self.path, f"has several colors ({self.listed()}); give --class COLOR instead")
+        return np.asarray(brightness >= 255 * threshold)
+
+    def listed(self) -> str:
+        """List the classes that occur, most pixels first."""
+        names = sorted(self.classes, key=lambda name: -self.classes[name])
+        more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+        return ", ".join(names[:_MAX_NAMED]) + more
+
+
+def read_mask_plane(
+    path: str | pathlib.Path,
+    alpha: bool = False,
+    colors: Mapping[int, str] | None = None,
+    values: Mapping[int, str] | None = None,
+) -> MaskPlane:
+    """Read a mask file of any kind.
+
+    Equal channels are one channel. Transparent pixels are background. If all visible pixels have one color, the alpha
+    channel is the mask.
+
+    Args:
+        path: of the file.
+        alpha: take the alpha channel and ignore the colors.
+        colors: names of colors ``0xRRGGBB``.
+        values: names of gray values.
+
+    Raises:
+        DataError: the file is missing, damaged, too large, turned by EXIF, or of a kind that cannot be a mask.
+    """
+    path = pathlib.Path(path)
+    image = _opened(path)
+    if "transparency" in image.info:
+        image = image.convert("RGBA")
+    if alpha and image.mode not in ("LA", "PA", "RGBA"):
+        raise DataError(path, f"has no alpha channel (mode {image.mode}); leave out --alpha")
+    if image.mode in ("1", "L", "F") or image.mode.startswith("I"):
+        codes, full_scale = _gray(path, image)
+    elif image.mode in ("P", "PA", "LA", "RGB", "RGBA"):
+        codes, full_scale = _colors(image, alpha)
+    else:
+        raise DataError(path, f"has the mode {image.mode}; save the mask as PNG, gray or with a palette")
+    return MaskPlane(path, codes, full_scale, (values if full_scale else colors) or {})
+
+
+def read_mask(path: str | pathlib.Path) -> Pixels:
+    """Read a mask of one class as ``(H, W)`` uint8: 255 marks the hand, 0 everything else.
+
+    Raises:
+        DataError: the file is unreadable, or its meaning is ambiguous; the message names the option that decides.
+    """
+    plane = read_mask_plane(path)
+    if defect := class_defect(plane):
+        raise DataError(path, f"{defect}; convert the set by `deltasafe hands import` with that option")
+    if not plane.classes:
+        raise DataError(path, "marks no hand (every pixel is 0); label the image, or remove it from the set")
+    return plane.select([ANY_CLASS]).astype(np.uint8) * 255
+
+
+def class_defect(plane: MaskPlane) -> str | None:
+    """Say why it is ambiguous which pixels of a mask are obstacle, with the options that decide; None if it is not."""
+    if len(plane.classes) < 2:
+        return None
+    kind = "gray values" if plane.full_scale else "colors"
+    soft = f", or --threshold 0.5 if the {kind} are shades" if len(plane.classes) > 2 else ""
+    return f"has {len(plane.classes)} {kind} ({plane.listed()}); give --class for each that is the obstacle{soft}"
+
+
+def polarity_defect(mask: NDArray[np.generic]) -> str | None:
+    """Say why a mask ``(H, W)`` is probably inverted: it covers most of the image, or nearly its whole border."""
+    marked = mask != 0
+    border = np.concatenate([marked[0], marked[-1], marked[1:-1, 0], marked[1:-1, -1]])
+    if marked.mean() <= MAX_AREA and border.mean() < MAX_BORDER:
+        return None
+    return f"marks {marked.mean():.0%} of the image and {border.mean():.0%} of its border: is it inverted?"
+
+
+def _opened(path: pathlib.Path) -> Image.Image:
+    if path.exists() and not path.is_file():
+        raise DataError(path, "is not a file; give an image file")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error.strerror}); restore the file") from error
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about size and damaged EXIF; both are checked here
+            image = Image.open(io.BytesIO(data))
+            width, height = image.size
+            if width * height > _MAX_PIXELS:
+                raise DataError(path, f"has {width} x {height} pixels; at most {_MAX_PIXELS} are allowed")
+            orientation = image.getexif().get(_EXIF_ORIENTATION, 1)
+            image.load()
+    except DataError:
+        raise
+    except Exception as error:  # the type depends on the file format
+        reason = " ".join(str(error).replace(repr(data), "").split())[:120]
+        raise DataError(path, f"is not a readable image ({len(data)} bytes; {reason}); restore or remove it") from error
+    if orientation in range(2, 9):
+        raise DataError(path, f"has EXIF orientation {orientation}; save the mask without it, as PNG")
+    return image
+
+
+def _gray(path: pathlib.Path, image: Image.Image) -> tuple[Codes, int]:
+    pixels = np.asarray(image)
+    if pixels.dtype == bool:
+        return pixels.astype(np.uint32) * 255, 255
+    if pixels.dtype == np.uint8:
+        return pixels.astype(np.uint32), 255
+    if pixels.dtype.kind == "f":
+        if not (np.isfinite(pixels).all() and pixels.min() >= 0 and pixels.max() <= 1):
+            raise DataError(path, "has floats outside [0, 1]; save the mask as PNG with 8 or 16 bits")
+        return np.round(pixels * 65535).astype(np.uint32), 65535
+    if pixels.min() < 0 or pixels.max() > 65535:
+        raise DataError(path, "has values outside 16 bits; save the mask as PNG with 8 or 16 bits")
+    return pixels.astype(np.uint32), 65535
+
+
+def _colors(image: Image.Image, alpha: bool) -> tuple[Codes, int]:
+    pixels = np.asarray(image.convert("RGB" if image.mode in ("P", "RGB") else "RGBA")).astype(np.uint32)
+    packed = _packed(pixels)
+    if image.mode == "P":
+        indices = np.asarray(image).astype(np.uint32)
+        is_distinct = len(np.unique(packed)) == len(np.unique(indices))  # else only the index tells classes apart
+        return _as_gray(packed) if is_distinct else (indices, 255)
+    if pixels.shape[2] == 3:
+        return _as_gray(packed)
+    opacity = pixels[..., 3]
+    is_opaque = opacity.min() == opacity.max()
+    if alpha or (not is_opaque and len(np.unique(packed[opacity > 0])) == 1):
+        return opacity, 255
+    return _as_gray(packed if is_opaque else _packed(pixels[..., :3] * opacity[..., None] // 255))
+
+
+def _packed(pixels: Codes) -> Codes:
+    return np.asarray(pixels[..., 0] << 16 | pixels[..., 1] << 8 | pixels[..., 2], np.uint32)
+
+
+def _as_gray(packed: Codes) -> tuple[Codes, int]:
+    """Return gray values if all channels are equal, else the colors."""
+    low = np.asarray(packed & 255, np.uint32)
+    return (low, 255) if (packed == low * 0x010101).all() else (packed, 0)
