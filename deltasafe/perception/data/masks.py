@@ -127,20 +127,15 @@ def read_mask(path: str | pathlib.Path) -> Pixels:
         DataError: the file is unreadable, or its meaning is ambiguous; the message names the option that decides.
     """
     plane = read_mask_plane(path)
-    if defect := class_defect(plane):
-        raise DataError(path, f"{defect}; convert the set by `deltasafe hands import` with that option")
+    if len(plane.classes) > 1:
+        kind = "gray values" if plane.full_scale else "colors"
+        options = f"--class '{next(iter(plane.classes))}' if that is the obstacle"
+        options += ", or --threshold 0.5 if they are shades" if len(plane.classes) > 2 else ""
+        found = f"has {len(plane.classes)} {kind} besides black ({plane.listed()})"
+        raise DataError(path, f"{found}; convert the set by `deltasafe hands import SET NEW_SET` with {options}")
     if not plane.classes:
         raise DataError(path, "marks no hand (every pixel is 0); label the image, or remove it from the set")
     return plane.select([ANY_CLASS]).astype(np.uint8) * 255
-
-
-def class_defect(plane: MaskPlane) -> str | None:
-    """Say why it is ambiguous which pixels of a mask are obstacle, with the options that decide; None if it is not."""
-    if len(plane.classes) < 2:
-        return None
-    kind = "gray values" if plane.full_scale else "colors"
-    soft = f", or --threshold 0.5 if the {kind} are shades" if len(plane.classes) > 2 else ""
-    return f"has {len(plane.classes)} {kind} ({plane.listed()}); give --class for each that is the obstacle{soft}"
 
 
 def polarity_defect(mask: NDArray[np.generic]) -> str | None:
