@@ -205,7 +205,7 @@ def _read(item: LabeledImage) -> tuple[np.ndarray, np.ndarray]:
 
 def _read_pair(item: LabeledImage, defects: list[DataError]) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Read image and mask (1 = hand); a defective one is None, and its defect is appended to ``defects``."""
-    rgb, mask = (read_or_none(*reading, defects) for reading in ((read_rgb, item.image), (read_mask, item.mask)))
+    rgb, mask = read_or_none(read_rgb, item.image, defects), read_or_none(read_mask, item.mask, defects)
     if rgb is not None and mask is not None and mask.shape != rgb.shape[:2]:
         sizes = f"is {mask.shape[1]} x {mask.shape[0]} but its image is {rgb.shape[1]} x {rgb.shape[0]}"
         defects.append(DataError(item.mask, f"{sizes}; export both at the same size"))
