@@ -143,7 +143,7 @@ def test_an_invalid_value_is_refused_before_anything_is_computed(page, screensho
     assert end_of_a_run_with(page, 3.0) == "Failure"
     page.get_by_text("nothing was run, since settings are wrong").first.wait_for()
     screenshot("refused")
-    assert page.get_by_text("miou must lie in").first.is_visible()
+    assert page.get_by_text("miou must be in").first.is_visible()
 
 
 def test_the_page_of_a_failed_check_gives_the_reason(page, screenshot, outcome):

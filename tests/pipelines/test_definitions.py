@@ -239,8 +239,8 @@ def test_a_member_that_did_not_learn_fails_the_check_of_its_partition(tmp_path, 
     ("step", "config", "message"),
     [
         ("ensemble_member", {"training": {"epochs": 0}}, "training: epochs must be at least 1, got 0"),
-        ("champion", {"level": 2.0}, "level must lie in"),
-        ("calibration_report_may_be_frozen", {"miou": 3.0}, "miou must lie in"),
+        ("champion", {"level": 2.0}, "level must be in"),
+        ("calibration_report_may_be_frozen", {"miou": 3.0}, "miou must be in"),
     ],
 )
 def test_an_invalid_setting_of_any_step_is_found(step, config, message):

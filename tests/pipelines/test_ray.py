@@ -65,7 +65,7 @@ def test_steps_on_a_cluster_reserve_no_core_and_get_no_secrets(monkeypatch):
         ({EXECUTOR: "dask"}, "local or ray, got 'dask'"),
         ({ADDRESS: "nowhere"}, "got 'nowhere'"),
         ({ADDRESS: "http://head:8265"}, "auto, host:port"),
-        ({GPUS: "1.5"}, r"gpus_per_member must lie in \[0, 1\]"),
+        ({GPUS: "1.5"}, r"gpus_per_member must be in \[0, 1\]"),
         ({GPUS: "nan"}, "gpus_per_member"),
         ({GPUS: "half"}, f"{GPUS} must be a number"),
         ({CPUS: "0"}, "cpus_per_member must be at least 1"),

@@ -248,12 +248,12 @@ def test_backgrounds_are_named_in_the_recipe(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"n_variants": 0}, "n_variants is 0"),
-        ({"width": 8}, "width is 8"),
-        ({"height": 8}, "height is 8"),
-        ({"probability": 1.5}, "probability is 1.5"),
-        ({"supersampling": 0}, "supersampling is 0"),
-        ({"seed": -1}, "seed is -1"),
+        ({"n_variants": 0}, r"^n_variants must be .*, got 0$"),
+        ({"width": 8}, r"^width must be .*, got 8$"),
+        ({"height": 8}, r"^height must be .*, got 8$"),
+        ({"probability": 1.5}, r"^probability must be .*, got 1.5$"),
+        ({"supersampling": 0}, r"^supersampling must be .*, got 0$"),
+        ({"seed": -1}, r"^seed must be .*, got -1$"),
         ({"left_out": ("nose",)}, "nose"),
     ],
 )

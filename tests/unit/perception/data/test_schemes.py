@@ -238,13 +238,13 @@ def test_unknown_scheme_is_refused(three_images: LabeledImageSet, tmp_path: path
 @pytest.mark.parametrize(
     ("kind", "value", "message"),
     [
-        (CutoutSettings, {"side": 0.0}, "side is 0.0"),
-        (CutoutSettings, {"n_variants": 0}, "n_variants is 0"),
-        (MixupSettings, {"alpha": float("inf")}, "alpha is inf"),
-        (FlipRotateCropSettings, {"smallest_crop": 1.5}, "smallest_crop is 1.5"),
-        (FlipRotateCropSettings, {"largest_angle_deg": -1.0}, "largest_angle_deg is -1.0"),
-        (FlipRotateCropSettings, {"supersampling": 0}, "supersampling is 0"),
-        (FlipRotate90Settings, {"width": 8}, "width is 8"),
+        (CutoutSettings, {"side": 0.0}, r"^side must be .*, got 0.0$"),
+        (CutoutSettings, {"n_variants": 0}, r"^n_variants must be .*, got 0$"),
+        (MixupSettings, {"alpha": float("inf")}, r"^alpha must be .*, got inf$"),
+        (FlipRotateCropSettings, {"smallest_crop": 1.5}, r"^smallest_crop must be .*, got 1.5$"),
+        (FlipRotateCropSettings, {"largest_angle_deg": -1.0}, r"^largest_angle_deg must be .*, got -1.0$"),
+        (FlipRotateCropSettings, {"supersampling": 0}, r"^supersampling must be .*, got 0$"),
+        (FlipRotate90Settings, {"width": 8}, r"^width must be .*, got 8$"),
     ],
 )
 def test_settings_outside_their_range_are_refused(

@@ -210,9 +210,9 @@ def test_finished_cells_are_listed_without_computing(
     ("value", "message"),
     [
         ({"sizes": (1000, 200)}, "ascending"),
-        ({"sizes": ()}, "ascending"),
-        ({"n_members": 11}, "n_members must lie in"),
-        ({"n_members_ablation": 6}, "n_members_ablation must lie in"),
+        ({"sizes": ()}, "sizes must be at least 1"),
+        ({"n_members": 11}, r"n_members must be in \[1, 10\], got 11"),
+        ({"n_members_ablation": 6}, r"n_members_ablation must be in \[1, 5\], got 6"),
         ({"left_out": ("shadow",)}, "left_out is 'shadow'"),
         ({"first_seed": -1}, "first_seed"),
     ],
