@@ -91,7 +91,7 @@ PRESETS = {
             weight_decay=0.0,
             precision="float32",
         ),
-        inference=InferenceSettings(384, 288),
+        inference=InferenceSettings(384, 288, scales=(1.0,)),
     ),
 }
 """Presets by name."""

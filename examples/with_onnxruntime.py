@@ -41,8 +41,8 @@ class HandEnsemble:
 
     def __init__(self, folder: pathlib.Path) -> None:
         manifest = verified(folder)
-        if manifest["format_version"] != 3:
-            raise ArtifactError(f"{folder}: is of format {manifest['format_version']}; this script reads 3")
+        if manifest["format_version"] not in (3, 4):
+            raise ArtifactError(f"{folder}: is of format {manifest['format_version']}; this script reads 3 and 4")
         self.inference = manifest["inference"]
         self.temperature = json.loads((folder / "calibration.json").read_text())["temperature"]
         self.program = onnxruntime.InferenceSession(folder / "ensemble.onnx", providers=["CPUExecutionProvider"])
@@ -54,17 +54,23 @@ class HandEnsemble:
             )
 
     def p_occupied(self, rgb: np.ndarray) -> np.ndarray:
-        """Predict (H, W) float32 for uint8 (H, W, 3): mean over members at the image's size, then temperature."""
+        """Predict (H, W) float32 for uint8 (H, W, 3): mean over members and scales, then temperature."""
+        scales = self.inference.get("scales", [1.0])  # format 3 has one scale
+        mean = sum(self.mean_of_members(rgb, scale) for scale in scales) / len(scales)
+        mean = np.clip(mean, 1e-7, 1 - 1e-7)
+        return sigmoid(np.log(mean / (1 - mean)) / self.temperature).astype(np.float32)
+
+    def mean_of_members(self, rgb: np.ndarray, scale: float) -> np.ndarray:
+        """Predict the mean of the members (H, W) with the image at one scale of the inference size."""
         height, width = rgb.shape[:2]
-        scale = math.sqrt(self.inference["height"] * self.inference["width"] / (height * width))
+        scale *= math.sqrt(self.inference["height"] * self.inference["width"] / (height * width))
         h, w = (max(2, round(side * scale / 16)) * 16 for side in (height, width))
         weights = area if h * w < height * width else bilinear
         small = np.einsum("yY,YXc,xX->yxc", weights(height, h), rgb.astype(float), weights(width, w), optimize=True)
         scaled = np.rint(small).astype(np.uint8)
         logits = self.program.run(["member_logits"], {"rgb": scaled[None]})[0][0]  # (M, h, w)
         full = bilinear(h, height) @ logits @ bilinear(w, width).T
-        mean = sigmoid(full).mean(axis=0).clip(1e-7, 1 - 1e-7)
-        return sigmoid(np.log(mean / (1 - mean)) / self.temperature).astype(np.float32)
+        return np.asarray(sigmoid(full).mean(axis=0))
 
 
 def area(size: int, target: int) -> np.ndarray:

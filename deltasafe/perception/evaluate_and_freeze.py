@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import SettingsError
+from deltasafe.io.records import from_json
 from deltasafe.io.storage import read_json, write_json
 from deltasafe.perception.artifact.frozen_ensemble import write_frozen_ensemble
 from deltasafe.perception.calibration.evaluation import evaluate
@@ -116,7 +117,7 @@ def freeze_ensemble(
     if "calibration_digest" in record:
         data["calibration_images"] = record["calibration_digest"]
     calibration = CalibrationReport.load(report_folder).calibration
-    inference = InferenceSettings(**record["inference"])
+    inference = from_json(InferenceSettings, record["inference"])
     return write_frozen_ensemble(list(members), inference, calibration, golden_rgb, pathlib.Path(parent), data)
 
 

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from deltasafe.errors import SettingsError
 from deltasafe.io.records import from_json
 from deltasafe.setting_ranges import check_choice, check_range
 
@@ -107,22 +108,27 @@ class InferenceSettings:
     """Input resolution of the networks.
 
     An image is scaled to about the area of ``width`` x ``height`` pixels. Its aspect ratio is kept, except for rounding
-    to multiples of 16. The logits are scaled back to the size of the image.
+    to multiples of 16. The logits are scaled back to the size of the image. Networks recognize a hand best if it has as
+    many pixels as in training; the mean over two scales recognizes larger hands too (decision 76).
 
     Attributes:
         width: pixels, for an image of this aspect ratio.
         height: pixels.
+        scales: factors of width and height; p_occupied of a member is its mean over the scales.
     """
 
     width: int = 256
     height: int = 192
+    scales: tuple[float, ...] = (1.0, 0.625)
 
     def __post_init__(self) -> None:
         check_range(self, f"[{2 * _STRIDE}, {_MAX_SIZE}]", "width", "height")
+        if not self.scales or len(set(self.scales)) < len(self.scales) or not all(0 < s <= 4 for s in self.scales):
+            raise SettingsError(f"scales must be different factors in (0, 4], at least one, got {self.scales}")
 
-    def network_size(self, height: int, width: int) -> tuple[int, int]:
-        """Return the (height, width) that an image of ``height`` x ``width`` pixels is scaled to."""
-        scale = math.sqrt(self.width * self.height / (width * height))
+    def network_size(self, height: int, width: int, scale: float = 1.0) -> tuple[int, int]:
+        """Return the (height, width) that an image of ``height`` x ``width`` pixels is scaled to, at one scale."""
+        scale *= math.sqrt(self.width * self.height / (width * height))
         return (
             max(2, round(height * scale / _STRIDE)) * _STRIDE,
             max(2, round(width * scale / _STRIDE)) * _STRIDE,

@@ -12,7 +12,7 @@ import pathlib
 import statistics
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -42,17 +42,19 @@ def _perturb(network: Any, seed: int) -> None:
 
 
 class SequentialMembers:
-    """Baseline: the image is resized once; then each network is called in turn, and the probabilities are averaged."""
+    """Baseline: at each scale, each network is called in turn on the resized image; all probabilities are averaged."""
 
-    def __init__(self, networks: Sequence[SegmentationNetwork], resized: Callable[[Any], Any]) -> None:
+    def __init__(self, networks: Sequence[SegmentationNetwork], ensemble: Ensemble) -> None:
         self.networks = networks
-        self.resized = resized
+        self.ensemble = ensemble
 
     @torch.inference_mode()
     def p_occupied(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Map an image (H, W, 3) of uint8 to probabilities (H, W) of float32."""
-        image = torch.from_numpy(self.resized(rgb)).permute(2, 0, 1)[None]
-        each = [probability(network(image), rgb.shape[:2])[0] for network in self.networks]
+        each = []
+        for scale in self.ensemble.settings.scales:
+            image = torch.from_numpy(self.ensemble.resized(rgb, scale)).permute(2, 0, 1)[None]
+            each += [probability(network(image), rgb.shape[:2])[0] for network in self.networks]
         mean: NDArray[np.float32] = torch.stack(each).mean(dim=0).numpy()
         return mean
 
@@ -67,7 +69,7 @@ def measure(folder: pathlib.Path, sizes: Sequence[tuple[int, int]], repeats: int
     reference: Ensemble = load_ensemble(folder, backend="torch")
     # torch's default memory layout, which networks have unless it is changed
     networks: list[Any] = [member.to(memory_format=torch.contiguous_format) for member in reference.members]
-    methods: dict[str, Any] = {BASELINE: SequentialMembers(networks, reference.resized), **backends}
+    methods: dict[str, Any] = {BASELINE: SequentialMembers(networks, reference), **backends}
     found: dict[str, Any] = {}
     for height, width in sizes:
         rgb = np.random.default_rng(1).integers(0, 256, (height, width, 3), dtype=np.uint8)

@@ -13,9 +13,12 @@ from deltasafe.io.storage import read_json
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """Version 2 applies the temperature of `calibration.json`; in version 1 it was always 1. Since version 3 the ONNX
-program accepts images of any size and also returns the members' logits."""
+program accepts images of any size and also returns the members' logits. Version 4 averages over the scales of
+``inference``; before, there was one."""
+
+_FIRST_WITH_SCALES = 4
 
 _MAX_MEMBERS = 1000
 
@@ -30,10 +33,10 @@ def new_manifest(
         "members": list(names),
         "seeds": [member.seed for member in members],
         "class": "p_occupied: probability that a pixel shows a hand or forearm (masks: 255 = hand)",
-        "preprocessing": "RGB uint8; scaled to the inference size (area or bilinear); ImageNet statistics "
-        "are applied inside the network",
+        "preprocessing": "RGB uint8; scaled to the inference size at each scale (area or bilinear); ImageNet "
+        "statistics are applied inside the network",
         "network": dataclasses.asdict(members[0].network_settings),
-        "inference": dataclasses.asdict(inference),
+        "inference": {**dataclasses.asdict(inference), "scales": list(inference.scales)},  # as JSON reads it
         "provenance": {"data": members[0].record["data_digest"], "code": digest_of_package(), **provenance},
     }
 
@@ -69,12 +72,24 @@ def settings_of_manifest(
     """
     try:
         network = NetworkSettings.from_record(manifest["network"])
-        return network, from_json(InferenceSettings, manifest["inference"])
+        return network, inference_of_manifest(manifest)
     except (KeyError, TypeError, ValueError) as error:
         reason = repr(error) if isinstance(error, KeyError) else error
         raise ArtifactError(
             folder / "manifest.json", f"has no valid settings ({reason}); pull the artifact again"
         ) from error
+
+
+def inference_of_manifest(manifest: Mapping[str, Any]) -> InferenceSettings:
+    """Return the settings of inference; before version 4 there was one scale.
+
+    Raises:
+        KeyError, TypeError, ValueError: they are missing or invalid.
+    """
+    record = manifest["inference"]
+    if manifest["format_version"] < _FIRST_WITH_SCALES and isinstance(record, Mapping):
+        record = {**record, "scales": [1.0]}
+    return from_json(InferenceSettings, record)
 
 
 def _problems(manifest: Mapping[str, Any]) -> list[str]:

@@ -2,15 +2,15 @@
 
 from typing import Any
 
+from deltasafe.perception.artifact.manifest import inference_of_manifest
 from deltasafe.perception.calibration.conformal_margin import margin_sentence
 from deltasafe.perception.calibration.delta_support import Calibration
-from deltasafe.perception.settings import InferenceSettings
 from deltasafe.reporting.templates import render
 
 
 def model_card(manifest: dict[str, Any], calibration: Calibration) -> str:
     """Fill the template; the same input gives the same text."""
-    inference = InferenceSettings(**manifest["inference"])
+    inference = inference_of_manifest(manifest)
     height, width = inference.network_size(inference.height, inference.width)
     return render(
         "deltasafe.perception.artifact",

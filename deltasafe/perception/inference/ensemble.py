@@ -61,7 +61,10 @@ class Ensemble:
         return pooled_probability(self.member_p_occupied(rgb), self.temperature).astype(np.float32)
 
     def member_p_occupied(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Predict p_occupied with each member, without the temperature: (H, W, 3) uint8 -> (M, H, W) float32."""
+        """Predict p_occupied with each member, without the temperature: (H, W, 3) uint8 -> (M, H, W) float32.
+
+        A member's p_occupied is its mean over the scales of the settings.
+        """
         predictions: NDArray[np.float32] = self._member_p_occupied(rgb).cpu().numpy()
         return predictions
 
@@ -77,11 +80,16 @@ class Ensemble:
     def _member_p_occupied(self, rgb: NDArray[np.uint8]) -> Tensor:
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or 0 in rgb.shape:
             raise SettingsError(f"an image must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
-        return probability(self.backend.member_logits(self.resized(rgb)[None])[0], rgb.shape[:2])
+        scales, total = self.settings.scales, None
+        for scale in scales:
+            p_members = probability(self.backend.member_logits(self.resized(rgb, scale)[None])[0], rgb.shape[:2])
+            total = p_members if total is None else total.add_(p_members)
+        assert total is not None
+        return total if len(scales) == 1 else total.div_(len(scales))
 
-    def resized(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Scale an image (H, W, 3) uint8 to the input resolution of the networks."""
-        height, width = self.settings.network_size(*rgb.shape[:2])
+    def resized(self, rgb: NDArray[np.uint8], scale: float = 1.0) -> NDArray[np.uint8]:
+        """Scale an image (H, W, 3) uint8 to the input resolution of the networks at one of the scales."""
+        height, width = self.settings.network_size(*rgb.shape[:2], scale)
         shrinks = height * width < rgb.shape[0] * rgb.shape[1]
         scaled = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
         return np.ascontiguousarray(scaled)

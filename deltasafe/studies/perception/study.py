@@ -113,7 +113,8 @@ class Study:
     def inference_settings(self, cell: Cell) -> InferenceSettings:
         """Return the resolution of inference, scaled with the width of the cell's training images."""
         scale = self._augmentation_of(cell).width / self.augmentation.width
-        return InferenceSettings(round(scale * self.inference.width), round(scale * self.inference.height))
+        width, height = round(scale * self.inference.width), round(scale * self.inference.height)
+        return dataclasses.replace(self.inference, width=width, height=height)
 
     def n_steps(self, cell: Cell) -> int:
         """Return the number of gradient steps of each member; the same in all cells of one recipe."""

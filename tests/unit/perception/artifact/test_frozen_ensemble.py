@@ -111,6 +111,22 @@ def test_network_size_keeps_aspect_ratio_and_area():
     assert height * width == pytest.approx(256 * 192, rel=0.15)
 
 
+def test_prediction_is_the_mean_over_scales_and_members(members):
+    networks, rgb = [member.network() for member in members], image(90, 70, seed=5)
+    both = Ensemble(networks, InferenceSettings(64, 48, scales=(1.0, 0.625)))
+    each = [Ensemble(networks, InferenceSettings(64, 48, scales=(scale,))) for scale in both.settings.scales]
+    expected = np.mean([one.member_p_occupied(rgb) for one in each], axis=0)
+    np.testing.assert_allclose(both.member_p_occupied(rgb), expected, atol=1e-6)
+    np.testing.assert_allclose(both.p_occupied(rgb), expected.mean(axis=0), atol=1e-6)
+    assert np.abs(each[0].p_occupied(rgb) - each[1].p_occupied(rgb)).max() > 1e-4
+
+
+@pytest.mark.parametrize("scales", [(), (1.0, 1.0), (0.0,), (np.nan,), (5.0,)])
+def test_invalid_scales_are_refused(scales):
+    with pytest.raises(SettingsError, match="scales"):
+        InferenceSettings(scales=scales)
+
+
 def test_freezing_twice_gives_one_folder(members, frozen):
     again = write_frozen_ensemble(members, INFERENCE, CALIBRATION, image(), frozen.parent)
     assert again == frozen
@@ -162,12 +178,17 @@ def test_format_1_loads_with_torch_and_without_temperature(copy, tmp_path):
 
 
 @pytest.mark.parametrize(("version", "backend"), [(2, "torch"), (3, "onnxruntime")])
-def test_formats_2_and_3_reproduce_golden_image(copy, tmp_path, version, backend):
-    manifest = json.loads((copy / "manifest.json").read_text())
-    assert manifest["format_version"] == 3
+def test_formats_2_and_3_reproduce_golden_image(members, tmp_path, version, backend):
+    """They have one scale, which their manifests do not name."""
+    one_scale = dataclasses.replace(INFERENCE, scales=(1.0,))
+    older = write_frozen_ensemble(members, one_scale, CALIBRATION, image(), tmp_path)
+    manifest = json.loads((older / "manifest.json").read_text())
+    assert manifest["format_version"] == 4
     del manifest["network"]["atrous_rates"]  # the first versions stored none
-    edit_manifest(copy, format_version=version, network=manifest["network"])
-    ensemble = load_ensemble(copy.rename(tmp_path / "pulled"))
+    del manifest["inference"]["scales"]
+    edit_manifest(older, format_version=version, network=manifest["network"], inference=manifest["inference"])
+    ensemble = load_ensemble(older.rename(tmp_path / "pulled"))
+    assert ensemble.settings == one_scale
     assert ensemble.backend.name == backend
     assert golden_difference(ensemble) <= 1e-4
 
@@ -188,7 +209,7 @@ def test_an_artifact_without_margins_is_loaded(members, tmp_path):
     file.write_text(json.dumps(older))
     manifest["files"][file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
     (frozen / "manifest.json").write_text(json.dumps(manifest))
-    assert manifest["format_version"] == 3
+    assert manifest["format_version"] == 4
     assert load_ensemble(frozen.rename(tmp_path / "older")).calibration == without
     assert "dilated" not in (tmp_path / "older" / "model_card.md").read_text("utf-8")
 
@@ -330,7 +351,8 @@ def test_model_card_states_supported_delta_or_that_there_is_none():
         "n_members": 2,
         "seeds": [0, 1],
         "network": dataclasses.asdict(NETWORK),
-        "inference": dataclasses.asdict(INFERENCE),
+        "inference": {"width": 64, "height": 48},
+        "format_version": 3,
     }
     card = model_card(manifest, CALIBRATION)
     assert "support is **0.03** (at 95% confidence)" in card

@@ -2,6 +2,7 @@
 
 import collections
 import dataclasses
+import dataclasses
 
 import numpy as np
 import onnx
@@ -95,6 +96,7 @@ def test_program_of_every_architecture_agrees_with_torch(settings, tmp_path):
 
 def test_program_predicts_batches_and_applies_temperature(frozen):
     ensemble = load_ensemble(frozen, backend="torch")
+    ensemble.settings = dataclasses.replace(INFERENCE, scales=(1.0,))  # the program has one
     batch = np.stack([image(48, 64, seed) for seed in range(3)])
     mean, members = session_of(frozen).run(["p_occupied", "member_p_occupied"], {"rgb": batch})
     for index, rgb in enumerate(batch):
