@@ -15,7 +15,7 @@ def model_card(manifest: dict[str, Any], calibration: Calibration) -> str:
     return render(
         "deltasafe.perception.artifact",
         "model_card.md.j2",
-        **manifest,
+        **manifest | {"inference": inference},
         calibration=calibration,
         margin_sentence=margin_sentence(calibration.conformal_margins).strip(),
         height=height,

@@ -89,7 +89,7 @@ class Ensemble:
 
     def resized(self, rgb: NDArray[np.uint8], scale: float = 1.0) -> NDArray[np.uint8]:
         """Scale an image (H, W, 3) uint8 to the input resolution of the networks at one of the scales."""
-        height, width = self.settings.network_size(*rgb.shape[:2], scale)
+        height, width = self.settings.network_size(rgb.shape[0], rgb.shape[1], scale)
         shrinks = height * width < rgb.shape[0] * rgb.shape[1]
         scaled = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
         return np.ascontiguousarray(scaled)

@@ -2,7 +2,6 @@
 
 import collections
 import dataclasses
-import dataclasses
 
 import numpy as np
 import onnx
