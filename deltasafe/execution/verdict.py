@@ -56,9 +56,12 @@ class SafetyVerdict:
         by_speed: the same by reference speed.
         min_tool_to_hand_m, min_arm_to_hand_m: smallest distances to the true hand, approach and retreat included;
             None without a hand or without links.
+        margin_kept_share: fraction of the judged poses at which every point of the tool kept the motion's margin around
+            the unsafe set; None for a motion without a margin.
         contacts: contact points with hand or table in the simulation, approach and retreat included.
         duration_s: of the evaluated part.
-        safe: all poses of the motion are delta-safe, the motion was completed, and there was no contact.
+        safe: all poses of the motion are delta-safe and kept the margin, the motion was completed, and there was no
+            contact.
     """
 
     delta: float
@@ -81,10 +84,15 @@ class SafetyVerdict:
     contacts: int
     duration_s: float
     safe: bool
+    margin_kept_share: float | None = None
 
 
 def evaluate_execution(
-    execution: Execution, grid: OccupancyGrid, settings: MotionSettings, spacing_m: float = 0.0025
+    execution: Execution,
+    grid: OccupancyGrid,
+    settings: MotionSettings,
+    margin_m: float = 0.0,
+    spacing_m: float = 0.0025,
 ) -> SafetyVerdict:
     """Evaluate the measured poses against the grid that the motion was planned in, and against the true hand.
 
@@ -92,6 +100,7 @@ def evaluate_execution(
         execution: the recording.
         grid: is evaluated at points of the tool ``spacing_m`` apart.
         settings: of the motion: delta, tool, tracking bound, and the smallest speed at which the bound is evaluated.
+        margin_m: of the motion, around the unsafe set.
 
     Raises:
         SettingsError: the motion was executed with another tool.
@@ -106,6 +115,11 @@ def evaluate_execution(
     bound = settings.tracking
     excess = error - bound.error_m(np.maximum(speed, settings.v_min_mps))
     contacts, whole = int(execution.contacts.sum()), bool(safe[judged].all())
+    kept = None
+    if margin_m:
+        dilated = grid.dilated(settings.delta, margin_m)
+        inside = largest_p_occupied(execution, dilated, settings.body, spacing_m) > settings.delta
+        kept = float((~inside[judged]).mean())
     time_s = execution.time_s[judged]
     tool, arm = execution.tool_to_hand_m.min(), execution.arm_to_hand_m.min()
     return SafetyVerdict(
@@ -128,7 +142,8 @@ def evaluate_execution(
         min_arm_to_hand_m=float(arm) if math.isfinite(arm) else None,
         contacts=contacts,
         duration_s=float(time_s[-1] - time_s[0]),
-        safe=whole and execution.completed and contacts == 0 and bool(tool > 0),
+        safe=whole and kept in (None, 1.0) and execution.completed and contacts == 0 and bool(tool > 0),
+        margin_kept_share=kept,
     )
 
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import Trajectory
@@ -22,7 +23,8 @@ class Audit:
 
     Attributes:
         poses: number of audited poses.
-        unsafe_poses: number of poses at which a point of the tool has p_occupied > delta.
+        unsafe_poses: number of poses at which a point of the tool has p_occupied > delta, or is closer to such a voxel
+            than the margin of the motion.
         worst_p_occupied: largest p_occupied at any point of the tool.
     """
 
@@ -37,7 +39,7 @@ class Audit:
 
 
 def verify_motion(motion: PlannedMotion, grid: OccupancyGrid, spacing_m: float = 0.001) -> Audit:
-    """Audit the trajectory of a planned motion against the delta of its settings.
+    """Audit the trajectory of a planned motion against the delta of its settings and its margin.
 
     Args:
         grid: P(occupied) of the world; that of the motion, or another one.
@@ -48,7 +50,24 @@ def verify_motion(motion: PlannedMotion, grid: OccupancyGrid, spacing_m: float =
     """
     if motion.trajectory is None:
         raise SettingsError(f"the motion has no trajectory to verify ({motion.reason})")
-    return audit_trajectory(motion.trajectory, grid, motion.body, motion.settings.delta, spacing_m)
+    delta = motion.settings.delta
+    audit = audit_trajectory(motion.trajectory, grid, motion.body, delta, spacing_m)
+    if not motion.margin_m:
+        return audit
+    dilated = _dilated_by_offsets(grid, delta, motion.margin_m)
+    unsafe = audit_trajectory(motion.trajectory, dilated, motion.body, delta, spacing_m).unsafe_poses
+    return dataclasses.replace(audit, unsafe_poses=unsafe)
+
+
+def _dilated_by_offsets(grid: OccupancyGrid, delta: float, margin_m: float) -> OccupancyGrid:
+    """As `OccupancyGrid.dilated`, by the list of all offsets between two voxels that are within the margin."""
+    reach = 1 + math.floor(margin_m / grid.voxel_m + 1e-9)
+    gap = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 1, 0) * grid.voxel_m
+    offsets = np.hypot(gap[:, None], gap[None, :]) <= margin_m
+    unsafe = grid.p_occupied.astype(np.float64) > delta
+    return OccupancyGrid(
+        np.maximum(grid.p_occupied, binary_dilation(unsafe, offsets[:, :, None])), grid.origin_m, grid.voxel_m
+    )
 
 
 def audit_trajectory(

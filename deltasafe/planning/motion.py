@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deltasafe.errors import DataError, PlanningError
+from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.geometry import Pose, PosePath, Trajectory
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.records import from_json
@@ -33,14 +33,20 @@ class MotionSettings(VelocitySettings, PlannerSettings):
         gamma0_m, gamma1_s: constant and slope of the tracking bound gamma(v) = gamma0 + gamma1 v. The default slope is
             the paper's; the default constant was identified for the simulated arm (`make tracking-study`).
         body: the space that the tool occupies.
+        motion_alpha: bound on the probability that the image hides a part of the hand from the planner: the motion also
+            keeps the margin r(delta, motion_alpha) that the ensemble's calibration states. 0: pointwise delta-safety
+            only, as in the paper.
     """
 
     cost: str = "area"
     gamma0_m: float = 0.00095
     gamma1_s: float = 0.05
     body: ToolBody = dataclasses.field(default_factory=ToolBody)
+    motion_alpha: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.motion_alpha < 1:
+            raise SettingsError(f"motion_alpha must be in [0, 1), where 0 means no margin, got {self.motion_alpha}")
         PlannerSettings.__post_init__(self)
         VelocitySettings.__post_init__(self)
         _ = self.tracking
@@ -63,6 +69,7 @@ class PlannedMotion:
         settings: of the motion.
         seed: of the search.
         image_stamp: the image that the grid was made from, if any.
+        margin_m: horizontal margin around the unsafe set that the motion keeps, beside the tracking error; 0: none.
     """
 
     result: PlanResult
@@ -72,6 +79,7 @@ class PlannedMotion:
     settings: MotionSettings
     seed: int
     image_stamp: ImageStamp | None = None
+    margin_m: float = 0.0
 
     @property
     def body(self) -> ToolBody:
@@ -88,6 +96,10 @@ class PlannedMotion:
         """Whether there is a trajectory to execute."""
         return self.trajectory is not None
 
+    def planned_in(self, grid: OccupancyGrid) -> OccupancyGrid:
+        """Return the grid with the motion's margin around its unsafe set, which path and speed are planned in."""
+        return grid.dilated(self.settings.delta, self.margin_m)
+
     def save(self, folder: str | pathlib.Path) -> None:
         """Write ``motion.json`` and ``motion.npz`` to a folder, atomically."""
         result = dataclasses.asdict(dataclasses.replace(self.result, path=None))
@@ -98,6 +110,7 @@ class PlannedMotion:
             "settings": dataclasses.asdict(self.settings),
             "seed": self.seed,
             "image_stamp": None if self.image_stamp is None else dataclasses.asdict(self.image_stamp),
+            "margin_m": self.margin_m,
         }
         arrays: dict[str, Any] = {}
         if self.result.path is not None:
@@ -142,6 +155,7 @@ class PlannedMotion:
                 from_json(MotionSettings, record["settings"]),
                 record["seed"],
                 ImageStamp(**record["image_stamp"]) if record["image_stamp"] else None,
+                float(record.get("margin_m", 0.0)),  # motions of earlier versions have none
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise DataError(folder, f"does not hold a planned motion ({error!r}); plan it again") from error
@@ -154,6 +168,7 @@ def plan_motion(
     settings: MotionSettings | None = None,
     seed: int = 0,
     image_stamp: ImageStamp | None = None,
+    margin_m: float = 0.0,
 ) -> PlannedMotion:
     """Plan a path, verify it and schedule its speed. Without a safe path, the motion states the reason.
 
@@ -163,23 +178,27 @@ def plan_motion(
         settings: of the motion; by default those of the pipeline.
         seed: of the search; the same seed gives the same motion.
         image_stamp: the image that the grid was made from; stored with the motion.
+        margin_m: horizontal margin around the unsafe set, from `deltasafe.trials.motion_margin`; start and goal keep
+            it too.
 
     Raises:
         SettingsError: a setting is outside its domain.
     """
     settings = settings or MotionSettings()
     body, tracking = settings.body, settings.tracking
-    field = DistanceField.build(grid, settings.delta)
+    field = DistanceField.build(grid.dilated(settings.delta, margin_m), settings.delta)
     result = plan(start, goal, field, settings, seed, body, tracking)
     trajectory, profile, reason = None, None, ""
     if result.status is not PlanStatus.SOLVED or result.path is None:
         reason = f"{result.status}: {result.message}"
+        if margin_m:
+            reason += f" (around what may be occupied, the motion keeps a margin of {1000 * margin_m:.1f} mm more)"
     else:
         try:
             trajectory, profile = schedule(result.path, field, settings, body, tracking, settings.rotation_weight_m2)
         except PlanningError as error:
             reason = str(error)
-    return PlannedMotion(result, trajectory, profile, reason, settings, seed, image_stamp)
+    return PlannedMotion(result, trajectory, profile, reason, settings, seed, image_stamp, margin_m)
 
 
 def _json(value: object) -> object:

@@ -108,6 +108,25 @@ class Camera:
             )
         return np.asarray(self.position_m + rays * depth_m[:, None])
 
+    def ground_sampling_distance_m(self, points_m: Array) -> float:
+        """Return the largest length in a horizontal plane that one pixel covers, in any direction, at points (N, 3).
+
+        It is the inverse of the smallest singular value of the derivative of (u, v) by (x, y).
+
+        Raises:
+            SettingsError: a point is not in front of the camera.
+        """
+        local = (np.asarray(points_m, dtype=np.float64) - self.position_m) @ self.world_from_camera_rotation
+        if not (local[:, 2] > 0).all():
+            raise SettingsError("the ground sampling distance exists only at points in front of the camera")
+        by_x, by_y = self.world_from_camera_rotation[:2]  # of the camera's coordinates
+        jacobian = [
+            [(by[i] - local[:, i] / local[:, 2] * by[2]) * f / local[:, 2] for by in (by_x, by_y)]
+            for i, f in enumerate((self.fx, self.fy))
+        ]
+        smallest = np.linalg.svd(np.moveaxis(np.array(jacobian), 2, 0), compute_uv=False)[:, -1]
+        return float(1.0 / smallest.min())
+
 
 def _holds_numbers(value: Any, shape: tuple[int, ...]) -> bool:
     """Return whether a JSON value is an array of numbers; NumPy would also convert text and booleans."""

@@ -6,6 +6,7 @@ import pathlib
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, maximum_filter
 
 from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import DataError, SettingsError
@@ -90,6 +91,31 @@ class OccupancyGrid:
             raise SettingsError(f"rotations must have shape ({len(positions)}, 3, 3), got {np.shape(rotations)}")
         turns = as_rows(np.reshape(rotations, (-1, 3)), 3, "rows of rotations").reshape(-1, 3, 3)
         return np.asarray(_largest_on_body(self.p_occupied, self.origin_m, self.voxel_m, points, turns, positions))
+
+    def dilated(self, delta: float, margin_m: float) -> "OccupancyGrid":
+        """Return the grid in which also the voxels beside {p_occupied > delta} are occupied (p_occupied = 1).
+
+        Each horizontal slice is dilated on its own: the margin of a motion bounds what the image misses *beside* the
+        unsafe set (decision 75), and the height of the hand has a margin of its own. A voxel is occupied if any of its
+        points is within ``margin_m`` of any point of an unsafe voxel of its slice. Outside of the grid nothing changes.
+
+        Raises:
+            SettingsError: delta is not in (0, 1), or the margin is negative or not finite.
+        """
+        if not 0 < delta < 1:
+            raise SettingsError(f"delta must be in (0, 1), got {delta}")
+        if not (math.isfinite(margin_m) and margin_m >= 0):
+            raise SettingsError(f"the margin around the unsafe set must be a finite length, got {margin_m} m")
+        unsafe = self.p_occupied > np.float64(delta)  # exact: not rounded to float32
+        if margin_m == 0.0 or not unsafe.any():
+            return self
+        # the distance between two squares is the distance between their centers after one of them is enlarged by one
+        # voxel on each side
+        enlarged = maximum_filter(unsafe, size=(3, 3, 1))
+        reached = np.zeros_like(unsafe)
+        for k in np.flatnonzero(enlarged.any(axis=(0, 1))):
+            reached[:, :, k] = distance_transform_edt(~enlarged[:, :, k]) * self.voxel_m <= margin_m
+        return OccupancyGrid(np.where(reached, np.float32(1), self.p_occupied), self.origin_m, self.voxel_m)
 
     def save(self, file: str | pathlib.Path) -> None:
         """Write a compressed ``.npz``, atomically."""

@@ -79,13 +79,14 @@ def _execute(
     if motion.image_stamp is not None and motion.image_stamp != load_image_stamp(fields, scene.id):
         raise DataError(motions / scene.id, "was planned from another image than its field; plan it again")
     grid = load_occupancy_grid(fields, scene.id)
+    field = DistanceField.build(motion.planned_in(grid), motion.settings.delta)
     try:
         execution = execute(
             motion.trajectory,
             Workcell(motion.body, scene.true_mesh(), scene.table_z_m),
             settings,
             seed,
-            limits=MonitorLimits.of(motion.settings, DistanceField.build(grid, motion.settings.delta)),
+            limits=MonitorLimits.of(motion.settings, field),
             unsafe_below_m=float(grid.upper_m[2]) + float(motion.tracking.error_m(motion.settings.v_max_mps)),
         )
     except PlanningError as error:

@@ -12,6 +12,7 @@ from deltasafe.planning import MotionSettings, PlannedMotion, plan_motion
 from deltasafe.planning.audit import Audit, verify_motion
 from deltasafe.scene import LoggedScene
 from deltasafe.trials.motion_figure import plan_over_image
+from deltasafe.trials.motion_margin import motion_margin_m, require_supported_alpha
 from deltasafe.trials.occupancy_fields import load_image_stamp, load_occupancy_grid, load_p_occupied
 
 
@@ -47,15 +48,17 @@ def plan_scenes(
         seed: of the search; scene k uses seed + k.
 
     Raises:
-        SettingsError: the calibration does not support ``settings.delta``.
+        SettingsError: the calibration does not support ``settings.delta`` or ``settings.motion_alpha``.
     """
     require_supported_delta(settings.delta, calibration)
+    require_supported_alpha(settings.delta, settings.motion_alpha, calibration)
     motions = {}
     with atomic_folder(folder) as temporary:
         for index, scene in enumerate(scenes):
             grid = load_occupancy_grid(fields, scene.id)
             stamp = load_image_stamp(fields, scene.id)
-            motion = plan_motion(grid, scene.start, scene.goal, settings, seed + index, stamp)
+            margin_m = motion_margin_m(calibration, settings, scene.camera, grid)
+            motion = plan_motion(grid, scene.start, scene.goal, settings, seed + index, stamp, margin_m)
             motion.save(temporary / scene.id)
             plan_over_image(
                 read_rgb(scene.image_path),

@@ -80,7 +80,8 @@ def _evaluate_scene(
         folder / f"{scene.id}-executed.png",
         title=scene.id,
     )
-    return evaluate_execution(execution, load_occupancy_grid(fields, scene.id), motion.settings)
+    grid = load_occupancy_grid(fields, scene.id)
+    return evaluate_execution(execution, grid, motion.settings, motion.margin_m)
 
 
 def _scene_report(scene: LoggedScene, motion: PlannedMotion, verdict: SafetyVerdict | None, reason: str) -> SceneReport:

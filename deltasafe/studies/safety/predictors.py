@@ -7,6 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.perception.calibration.delta_support import Calibration
+
 
 @dataclasses.dataclass(frozen=True)
 class Prediction:
@@ -21,6 +23,10 @@ class Predictor(Protocol):
 
     def predict(self, rgb: NDArray[np.uint8]) -> Prediction:
         """Predict p_occupied of an image (H, W, 3) uint8."""
+        ...
+
+    def calibration(self) -> Calibration:
+        """Return the calibration, which states the margins."""
         ...
 
 
@@ -41,6 +47,15 @@ class FrozenEnsemblePredictor:
         ensemble = _load(self.folder)
         members = ensemble.member_p_occupied(rgb)
         return Prediction(pooled_probability(members, ensemble.temperature).astype(np.float32), members)
+
+    def calibration(self) -> Calibration:
+        """Return the calibration of the frozen ensemble.
+
+        Raises:
+            ArtifactError: the folder holds no frozen ensemble.
+        """
+        calibration: Calibration = _load(self.folder).calibration
+        return calibration
 
 
 @functools.lru_cache(1)

@@ -30,6 +30,7 @@ from deltasafe.studies.safety.obstacle_fit import fit_obstacles
 from deltasafe.studies.safety.predictors import Prediction, Predictor
 from deltasafe.studies.safety.scenarios import draw_scenario, true_mask
 from deltasafe.studies.safety.settings import METHODS, PARAMETRIC, SafetyStudySettings
+from deltasafe.trials.motion_margin import motion_margin_m
 
 SPEED_EDGES_MPS = (0.0, 0.005, 0.02, 0.05, 0.1, 0.15, np.inf)
 N_BINS = len(SPEED_EDGES_MPS) - 1
@@ -61,8 +62,8 @@ COLUMNS: dict[str, type] = {
 ``method`` and ``outcome`` are indices into ``METHODS`` and ``OUTCOMES``. ``member`` is the single member, -1 for the
 ensemble. ``miss_rate`` is the fraction of the true hand's pixels with p_occupied <= delta in the image used. ``poses``
 counts recorded poses from rest at the start to rest at the goal. At ``unsafe_poses`` of them a point of the tool has
-p_occupied > delta in the field used; at ``touching_poses`` the tool touches or crosses the true hand. ``contacts``,
-``min_tool_m`` and ``min_arm_m`` cover the whole recording, approach and retreat included.
+p_occupied > delta in the field used, or is inside its margin; at ``touching_poses`` the tool touches or crosses the
+true hand. ``contacts``, ``min_tool_m`` and ``min_arm_m`` cover the whole recording, approach and retreat included.
 """
 
 BY_SPEED = ("poses_by_speed", "unsafe_by_speed", "touching_by_speed", "min_tool_by_speed_m")
@@ -151,16 +152,25 @@ class _ScenarioRunner:
     def _grid(self, single: bool) -> OccupancyGrid:
         return self._extrude(self.p_occupied(single))
 
-    def _field(self, single: bool, delta: float) -> DistanceField:
-        return DistanceField.build(self.grid(single), delta)
+    def _field(self, variant: str, delta: float) -> DistanceField:
+        """Build the field of the ensemble, of the ``single_member``, or of the ensemble ``with_margin``."""
+        grid = self.grid(variant == "single_member")
+        if variant == "with_margin":
+            grid = grid.dilated(delta, self.margin_m(delta))
+        return DistanceField.build(grid, delta)
 
-    def _plan(self, single: bool, delta: float) -> PlanResult:
+    def margin_m(self, delta: float) -> float:
+        """Return the margin of ``with_margin``."""
+        motion = dataclasses.replace(self.settings.motion, delta=delta, motion_alpha=self.settings.motion_alpha)
+        return motion_margin_m(self.predictor.calibration(), motion, self.scene.camera, self.grid(False))
+
+    def _plan(self, variant: str, delta: float) -> PlanResult:
         """Plan our path; ``ours`` and ``top_speed`` share it."""
         assert self.scenario.task is not None
         start, goal = self.scenario.task
         motion = dataclasses.replace(self.settings.motion, delta=delta)
         seed = self.scenario.plan_seed
-        return plan(start, goal, self.field(single, delta), motion, seed, motion.body, motion.tracking)
+        return plan(start, goal, self.field(variant, delta), motion, seed, motion.body, motion.tracking)
 
     def run_trial(self, position: int) -> tuple[dict[str, Any], Execution | None]:
         """Run one trial; return its row and, if it was executed, the recording."""
@@ -190,7 +200,7 @@ class _ScenarioRunner:
             row["outcome"] = OUTCOMES.index("the arm cannot follow")
         else:
             with _Clock(self.seconds, "judge"):
-                row |= self._evaluate(execution, trajectory, delta, self.grid(single))
+                row |= self._evaluate(execution, trajectory, delta, self.field(_variant(method), delta).grid)
         return row | {"seconds": np.array([self.seconds[name] for name in STAGES])}, execution
 
     def _trajectory(self, method: str, delta: float) -> Trajectory:
@@ -200,10 +210,10 @@ class _ScenarioRunner:
         motion = dataclasses.replace(self.settings.motion, delta=delta)
         if method in PARAMETRIC:
             return parametric_motion(method, self.obstacles, self.view, task, motion, seed)
-        single = method == "single_member"
+        variant = _variant(method)
         timed = top_speed_motion if method == "top_speed" else scheduled_motion
-        result = self.plan(single, delta)
-        return timed(result, self.field(single, delta), motion)
+        result = self.plan(variant, delta)
+        return timed(result, self.field(variant, delta), motion)
 
     def _execute(self, trajectory: Trajectory) -> Execution:
         settings, scene, motion = self.settings, self.scene, self.settings.motion
@@ -255,6 +265,11 @@ class _ScenarioRunner:
     def _extrude(self, p_occupied: NDArray[np.float32]) -> OccupancyGrid:
         scene = self.scene
         return grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, self.settings.field)
+
+
+def _variant(method: str) -> str:
+    """Return which field a method uses; the compared methods are judged by that of ours."""
+    return method if method in ("single_member", "with_margin") else "ours"
 
 
 class _Clock:

@@ -13,15 +13,16 @@ from deltasafe.studies import baselines
 PARAMETRIC = ("chance_constraint", "bounding_volume", "max_probability")
 """The published methods; their obstacles are ellipsoids at Gaussian positions."""
 
-METHODS = ("ours", "single_member", "top_speed", *PARAMETRIC)
+METHODS = ("ours", "single_member", "top_speed", *PARAMETRIC, "with_margin")
 """Ours is the field of the whole ensemble with a velocity schedule. ``single_member`` and ``top_speed`` change one of
-the two."""
+the two. ``with_margin`` also keeps the conformal margin around the unsafe set."""
 
 LABELS = {
     "ours": "Ours (M = {members}, scheduled)",
     "single_member": "Single member (M = 1)",
     "top_speed": "Without velocity schedule",
     **baselines.LABELS,
+    "with_margin": "Ours with margin, alpha = {alpha:g}",
 }
 
 
@@ -90,6 +91,8 @@ class SafetyStudySettings:
         deltas: values of delta, increasing.
         n_executions: scenarios are added until this many motions were executed.
         compared: compared methods, out of ``METHODS[1:]``.
+        motion_alpha: of ``with_margin``: bound on the probability that the hand exceeds the unsafe set by more than the
+            margin.
         compared_every: the compared methods run in every scenario whose number is a multiple of this.
         seed: seed of everything that is drawn.
         n_obstacles: number of ellipsoids that the compared methods get for a hand.
@@ -103,6 +106,7 @@ class SafetyStudySettings:
     compared_every: int = 5
     seed: int = 0
     n_obstacles: int = 8
+    motion_alpha: float = 0.05
     n_films: int = 4
     camera: CameraSettings = dataclasses.field(default_factory=CameraSettings)
     task: TaskSettings = dataclasses.field(default_factory=TaskSettings)
@@ -116,6 +120,7 @@ class SafetyStudySettings:
         if set(self.compared) - set(METHODS[1:]) or len(set(self.compared)) < len(self.compared):
             raise SettingsError(f"compared must be a selection of {METHODS[1:]}, each once, got {self.compared}")
         check_range(self, "(0, 0.5)", "deltas")  # which the compared methods require
+        check_range(self, "(0, 1)", "motion_alpha")
         check_range(self, "[1, inf)", "n_executions", "compared_every", "n_obstacles")
         check_range(self, "[0, inf)", "seed", "n_films")
 

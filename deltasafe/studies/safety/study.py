@@ -106,7 +106,7 @@ class SafetyStudy:
 
     def label(self, method: str) -> str:
         """Return the name of a method in tables and legends."""
-        return LABELS[method].format(members=self.inputs.n_members)
+        return LABELS[method].format(members=self.inputs.n_members, alpha=self.settings.motion_alpha)
 
     @property
     def simulated_s(self) -> float:

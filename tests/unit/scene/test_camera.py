@@ -35,6 +35,29 @@ def test_pixel_to_plane_inverts_project(x: float, y: float, z: float, tilt: floa
     np.testing.assert_allclose(camera.pixel_to_plane(uv, z), [[x, y, z]], atol=1e-12)
 
 
+def test_ground_sampling_distance_of_a_camera_facing_down_is_height_over_focal_length() -> None:
+    camera = Camera.from_json(record())
+    assert camera.ground_sampling_distance_m(np.array([[0.0, 0.0, 0.0], [0.2, 0.1, 0.0]])) == pytest.approx(
+        0.5 / 768.75
+    )
+    assert camera.ground_sampling_distance_m(np.array([[0.0, 0.0, 0.1]])) == pytest.approx(0.4 / 768.75)
+    with pytest.raises(SettingsError, match="in front"):
+        camera.ground_sampling_distance_m(np.array([[0.0, 0.0, 0.6]]))
+
+
+@given(st.floats(-0.6, 0.6), st.floats(0, 639), st.floats(0, 479), st.floats(0, 2 * np.pi))
+def test_no_step_of_a_pixel_is_longer_than_the_ground_sampling_distance(
+    tilt: float, u: float, v: float, angle: float
+) -> None:
+    cos, sin = np.cos(tilt), np.sin(tilt)
+    rotation = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]) @ DOWN
+    camera = Camera.from_json(record(world_from_camera_rotation=rotation.tolist()))
+    step = 1e-3 * np.array([np.cos(angle), np.sin(angle)])
+    ends = camera.pixel_to_plane(np.array([[u, v], np.array([u, v]) + step]), 0.0)
+    longest_m = camera.ground_sampling_distance_m(ends)
+    assert np.linalg.norm(ends[1] - ends[0]) / 1e-3 <= longest_m * (1 + 1e-3)
+
+
 def test_points_behind_the_camera_have_no_pixel() -> None:
     uv, depth_m = Camera.from_json(record()).project(np.array([[0.0, 0.0, 0.6]]))
     assert np.isnan(uv).all()

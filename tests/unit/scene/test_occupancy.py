@@ -44,6 +44,28 @@ def test_stored_grid_equals_the_original(tmp_path: pathlib.Path) -> None:
         OccupancyGrid.load(tmp_path / "grid.npz")
 
 
+def test_dilation_is_the_set_of_voxels_within_the_margin_of_an_unsafe_one() -> None:
+    rng = np.random.default_rng(2)
+    grid = OccupancyGrid((rng.random((13, 9, 4)) ** 12).astype(np.float32), np.zeros(3), 0.002)
+    for delta, margin_m in [(0.5, 0.001), (0.5, 0.004), (0.3, 0.0075), (0.7, 0.1)]:
+        dilated = grid.dilated(delta, margin_m).p_occupied
+        unsafe = np.argwhere(grid.p_occupied > delta)
+        for i, j, k in np.ndindex(grid.p_occupied.shape):
+            same = unsafe[unsafe[:, 2] == k][:, :2]
+            gap_m = np.maximum(np.abs(same - (i, j)) - 1, 0) * grid.voxel_m  # between the nearest points of two squares
+            within = bool((np.hypot(*gap_m.T) <= margin_m + 1e-12).any())
+            assert dilated[i, j, k] == (1.0 if within else grid.p_occupied[i, j, k])
+
+
+def test_dilation_by_nothing_returns_the_grid() -> None:
+    grid = OccupancyGrid(np.full((2, 2, 2), 0.25, np.float32), np.zeros(3), 0.1)
+    assert grid.dilated(0.2, 0.0) is grid
+    assert grid.dilated(0.3, 1.0) is grid
+    for delta, margin_m in [(0.0, 0.01), (1.0, 0.01), (0.2, -0.01), (0.2, np.nan), (0.2, np.inf)]:
+        with pytest.raises(SettingsError, match=r"delta|margin"):
+            grid.dilated(delta, margin_m)
+
+
 @pytest.mark.parametrize("value", [np.nan, -0.1, 1.1])
 def test_values_outside_0_1_are_refused(value: float) -> None:
     with pytest.raises(SettingsError, match="p_occupied"):
