@@ -17,6 +17,7 @@ class SceneReport:
         cost, length_m, duration_s: of the planned motion; None without one. ``cost_squared_m2`` and ``area_m2`` are
             the costs of the same path by the paper's two cost functions.
         film: file name of the film beside the report; empty without one.
+        margin_m: margin around the unsafe set that the motion was planned with; 0: none.
     """
 
     scene_id: str
@@ -28,14 +29,16 @@ class SceneReport:
     length_m: float | None
     duration_s: float | None
     film: str = ""
+    margin_m: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class SafetyReport:
-    """Outcomes of all scenes at one delta."""
+    """Outcomes of all scenes at one delta and one ``motion_alpha`` (0: planned without a margin)."""
 
     delta: float
     scenes: tuple[SceneReport, ...]
+    motion_alpha: float = 0.0
 
     @property
     def verdicts(self) -> list[SafetyVerdict]:
@@ -67,8 +70,16 @@ class SafetyReport:
                 "max_tracking_excess_m": max(verdict.max_excess_m for verdict in verdicts),
                 **({"min_tool_to_hand_m": min(tool)} if tool else {}),
                 **({"min_arm_to_hand_m": min(arm)} if arm else {}),
+                **self._margin_figures(),
             }
         return found
+
+    def _margin_figures(self) -> dict[str, float]:
+        """Figures of the margin; empty without one."""
+        if not self.motion_alpha:
+            return {}
+        kept = sum(verdict.margin_kept_share == 1.0 for verdict in self.verdicts)
+        return {"motion_alpha": self.motion_alpha, "motions_that_kept_the_margin": kept}
 
 
 def read_figures(folder: str | pathlib.Path) -> dict[str, float]:

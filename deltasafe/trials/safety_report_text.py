@@ -21,6 +21,7 @@ def _values(report: SafetyReport) -> dict[str, object]:
         "figures": report.figures(),
         "approach": (min(approach), max(approach)) if approach else None,
         "films": [scene for scene in report.scenes if scene.film],
+        "margins_m": [scene.margin_m for scene in report.scenes],
         "number": _number,
         "mm": lambda length_m: _number("{:.1f} mm", length_m, 1000, "no hand or no links"),
     }

@@ -37,10 +37,10 @@ def write_safety_report(
     outcomes = {outcome.scene_id: outcome for outcome in load_outcomes(executions)}
     scenes = planned.scenes
     with atomic_folder(folder) as temporary:
-        reports, delta = [], 0.0
+        reports, delta, alpha = [], 0.0, 0.0
         for done, scene in enumerate(scenes, start=1):
             motion, outcome = load_motion(planned.motions, scene.id), outcomes[scene.id]
-            delta = motion.settings.delta
+            delta, alpha = motion.settings.delta, motion.settings.motion_alpha
             verdict = None
             if outcome.executed:
                 verdict = _evaluate_scene(scene, motion, planned.fields, executions, temporary)
@@ -55,7 +55,7 @@ def write_safety_report(
             progress(done, len(filmed), f"filmed {scene.id}")
         films = {name: f"{name}.gif" for name in filmed}
         reports = [dataclasses.replace(report, film=films.get(report.scene_id, "")) for report in reports]
-        report = SafetyReport(delta, tuple(reports))
+        report = SafetyReport(delta, tuple(reports), alpha)
         write_json(temporary / "report.json", {"figures": report.figures(), **dataclasses.asdict(report)})
         (temporary / "report.md").write_text(safety_markdown(report), encoding="utf-8")
         (temporary / "summary.md").write_text(safety_summary(report), encoding="utf-8")
@@ -95,6 +95,7 @@ def _scene_report(scene: LoggedScene, motion: PlannedMotion, verdict: SafetyVerd
         result.area_m2,
         None if path is None else path.length_m,
         None if motion.trajectory is None else motion.trajectory.duration_s,
+        margin_m=motion.margin_m,
     )
 
 
