@@ -22,10 +22,11 @@ from deltasafe.io.storage import atomic_file
 from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, load_ensemble
 from deltasafe.perception.calibration.conformal_margin import ConformalMargins, hausdorff_at_delta
 from deltasafe.perception.calibration.temperature import pooled_probability
-from deltasafe.perception.data.labeled_images import read_mask, read_rgb
+from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import LoggedScene, grid_from_image, load_scenes
 from deltasafe.studies.intervals import clopper_pearson
+from deltasafe.studies.safety.scenarios import true_mask
 from deltasafe.trials.motion_margin import motion_margin_m
 from evidence.reporting import command_parser, finish
 
@@ -49,7 +50,7 @@ class Labeled:
 def scene_images(scenes: Sequence[LoggedScene]) -> Iterator[Labeled]:
     """Read image and true mask of each scene."""
     for scene in scenes:
-        yield Labeled(scene.id, read_rgb(scene.image_path), read_mask(scene.mask_path) > 0)
+        yield Labeled(scene.id, read_rgb(scene.image_path), true_mask(scene))
 
 
 def photographs(folder: pathlib.Path, tier: str) -> Iterator[Labeled]:
