@@ -56,8 +56,11 @@ def scene_images(scenes: Sequence[LoggedScene]) -> Iterator[Labeled]:
 def photographs(folder: pathlib.Path, tier: str) -> Iterator[Labeled]:
     """Read ``images/`` and ``masks/`` of the rows of ``manifest.csv`` (columns id and tier) that belong to a tier."""
     for row in tiers(folder)[tier]:
-        mask = cv2.imdecode(np.fromfile(folder / "masks" / f"{row}.png", np.uint8), cv2.IMREAD_GRAYSCALE)
-        yield Labeled(row, read_rgb(folder / "images" / f"{row}.jpg"), mask > 127)
+        file = folder / "masks" / f"{row}.png"
+        mask = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_GRAYSCALE)
+        if mask is None:
+            raise DataError(file, "is not an image; restore it")
+        yield Labeled(row, read_rgb(folder / "images" / f"{row}.jpg"), np.asarray(mask > 127))
 
 
 def tiers(folder: pathlib.Path) -> dict[str, list[str]]:
