@@ -65,6 +65,8 @@ def _dilated_by_offsets(grid: OccupancyGrid, delta: float, margin_m: float) -> O
     gap = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 1, 0) * grid.voxel_m
     offsets = np.hypot(gap[:, None], gap[None, :]) <= margin_m
     unsafe = grid.p_occupied.astype(np.float64) > delta
+    if grid.unseen is not None:
+        unsafe[grid.unseen] = False
     return OccupancyGrid(
         np.maximum(grid.p_occupied, binary_dilation(unsafe, offsets[:, :, None])), grid.origin_m, grid.voxel_m
     )

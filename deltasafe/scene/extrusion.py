@@ -78,7 +78,9 @@ def grid_from_image(
     shape = int(columns[0]), int(columns[1]), layers
     pyramid = _maximum_pyramid(image)
     p_occupied = _voxel_maxima(pyramid, _projection_matrix(camera), origin_m, settings.voxel_m, shape)
-    return OccupancyGrid(p_occupied, origin_m, settings.voxel_m)
+    unseen = p_occupied > 1.0
+    p_occupied[unseen] = 1.0
+    return OccupancyGrid(p_occupied, origin_m, settings.voxel_m, unseen)
 
 
 def _projection_matrix(camera: Camera) -> NDArray[np.float64]:
@@ -130,10 +132,10 @@ def _dot(row, x, y, z):  # type: ignore[no-untyped-def]
 
 @compiled
 def _voxel_maxima(pyramid, projection, origin_m, voxel_m, shape):  # type: ignore[no-untyped-def]
-    """Maxima (nx, ny, nz) of the image over the projected voxels; 1 for voxels that are not seen completely."""
+    """Maxima (nx, ny, nz) of the image over the projected voxels; 2 for voxels that are not seen completely."""
     nx, ny, nz = shape
     height, width = pyramid.shape[1:]
-    maxima = np.ones(shape, np.float32)
+    maxima = np.full(shape, np.float32(2.0))
     near, far = np.empty((ny + 1, nz + 1, 2)), np.empty((ny + 1, nz + 1, 2))
     _project_plane(projection, origin_m[0], origin_m, voxel_m, far)
     for i in range(nx):

@@ -29,15 +29,18 @@ class OccupancyGrid:
         p_occupied: (nx, ny, nz) float32 in [0, 1], read-only.
         origin_m: (3,) lower corner of the grid in the world frame.
         voxel_m: edge of a voxel.
+        unseen: (nx, ny, nz) bool, read-only: voxels that hold 1 because the camera does not see them completely, and
+            not because of a prediction; None: no such voxels are known.
 
     Raises:
-        SettingsError: wrong shapes, a value outside [0, 1], a voxel smaller than 1e-5 m, or a corner farther than
-            1000 m from 0.
+        SettingsError: wrong shapes, a value outside [0, 1], an unseen voxel that does not hold 1, a voxel smaller than
+            1e-5 m, or a corner farther than 1000 m from 0.
     """
 
     p_occupied: NDArray[np.float32]
     origin_m: NDArray[np.float64]
     voxel_m: float
+    unseen: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         p_occupied = np.array(self.p_occupied, dtype=np.float32, order="C")
@@ -51,6 +54,12 @@ class OccupancyGrid:
         if not (math.isfinite(self.voxel_m) and self.voxel_m >= MIN_VOXEL_M):
             raise SettingsError(f"voxel_m must be a length of at least {MIN_VOXEL_M:g} meters, got {self.voxel_m}")
         as_rows([origin_m, origin_m + self.voxel_m * np.array(p_occupied.shape)], 3, "the corners of the grid")
+        if self.unseen is not None:
+            unseen = np.array(self.unseen, dtype=np.bool_, order="C")
+            if unseen.shape != p_occupied.shape or (p_occupied[unseen] != 1).any():
+                raise SettingsError("unseen must have the shape of p_occupied, which holds 1 there")
+            unseen.setflags(write=False)
+            object.__setattr__(self, "unseen", unseen)
         p_occupied.setflags(write=False)
         origin_m.setflags(write=False)
         object.__setattr__(self, "p_occupied", p_occupied)
@@ -97,7 +106,8 @@ class OccupancyGrid:
 
         Each horizontal slice is dilated on its own: the margin of a motion bounds what the image misses *beside* the
         unsafe set (decision 75), and the height of the hand has a margin of its own. A voxel is occupied if any of its
-        points is within ``margin_m`` of any point of an unsafe voxel of its slice. Outside of the grid nothing changes.
+        points is within ``margin_m`` of any point of an unsafe voxel of its slice. ``unseen`` voxels, and those outside
+        of the grid, are not dilated: they stand for the whole border of the view, not for a hand.
 
         Raises:
             SettingsError: delta is not in (0, 1), or the margin is negative or not finite.
@@ -107,6 +117,8 @@ class OccupancyGrid:
         if not (math.isfinite(margin_m) and margin_m >= 0):
             raise SettingsError(f"the margin around the unsafe set must be a finite length, got {margin_m} m")
         unsafe = self.p_occupied > np.float64(delta)  # exact: not rounded to float32
+        if self.unseen is not None:
+            unsafe &= ~self.unseen
         if margin_m == 0.0 or not unsafe.any():
             return self
         # the distance between two squares is the distance between their centers after one of them is enlarged by one
@@ -115,7 +127,8 @@ class OccupancyGrid:
         reached = np.zeros_like(unsafe)
         for k in np.flatnonzero(enlarged.any(axis=(0, 1))):
             reached[:, :, k] = distance_transform_edt(~enlarged[:, :, k]) * self.voxel_m <= margin_m
-        return OccupancyGrid(np.where(reached, np.float32(1), self.p_occupied), self.origin_m, self.voxel_m)
+        p_occupied = np.where(reached, np.float32(1), self.p_occupied)
+        return OccupancyGrid(p_occupied, self.origin_m, self.voxel_m, self.unseen)
 
     def save(self, file: str | pathlib.Path) -> None:
         """Write a compressed ``.npz``, atomically."""
@@ -128,6 +141,7 @@ class OccupancyGrid:
                 p_occupied=self.p_occupied,
                 origin_m=self.origin_m,
                 voxel_m=np.float64(self.voxel_m),
+                **({} if self.unseen is None else {"unseen": self.unseen}),
             )
 
     @classmethod
@@ -139,7 +153,8 @@ class OccupancyGrid:
         """
         try:
             arrays = read_npz(file)
-            return cls(arrays["p_occupied"], arrays["origin_m"], float(arrays["voxel_m"]))
+            voxel_m = float(arrays["voxel_m"])
+            return cls(arrays["p_occupied"], arrays["origin_m"], voxel_m, arrays.get("unseen"))
         except (ValueError, KeyError, TypeError) as error:
             reason = error.reason if isinstance(error, DataError) else repr(error)
             raise DataError(file, f"is not an occupancy grid ({reason}); make the occupancy fields again") from error

@@ -209,7 +209,7 @@ def margin_sentence(margins: ConformalMargins | None) -> str:
     return (
         f"\n\nThe pixels with `p_occupied > {margin.delta:g}`, dilated by **{margin.fraction_of_width:.2%}** of the "
         f"image's width, contain the whole hand in a new image like these with a probability of at least "
-        f"**{1 - margin.alpha:.3g}** ({basis}). The planner does not use this margin yet."
+        f"**{1 - margin.alpha:.3g}** ({basis}). The planner keeps this margin if `motion_alpha` is set."
     )
 
 

@@ -57,6 +57,19 @@ def test_dilation_is_the_set_of_voxels_within_the_margin_of_an_unsafe_one() -> N
             assert dilated[i, j, k] == (1.0 if within else grid.p_occupied[i, j, k])
 
 
+def test_unseen_voxels_are_not_dilated() -> None:
+    grid = grid_from_image(np.zeros((120, 160), np.float32), camera(), 0.0, 0.05, FieldSettings(voxel_m=0.005))
+    assert grid.unseen is not None
+    assert ((grid.p_occupied == 1) == grid.unseen).all()
+    assert (grid.dilated(0.05, 0.03).p_occupied == grid.p_occupied).all()
+    seen = np.zeros((120, 160), np.float32)
+    seen[60, 80] = 1.0  # as certain as what is unseen
+    grid = grid_from_image(seen, camera(), 0.0, 0.05, FieldSettings(voxel_m=0.005))
+    assert (grid.dilated(0.05, 0.03).p_occupied > grid.p_occupied).any()
+    with pytest.raises(SettingsError, match="unseen"):
+        OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 0.1, np.ones((2, 2, 2), np.bool_))
+
+
 def test_dilation_by_nothing_returns_the_grid() -> None:
     grid = OccupancyGrid(np.full((2, 2, 2), 0.25, np.float32), np.zeros(3), 0.1)
     assert grid.dilated(0.2, 0.0) is grid

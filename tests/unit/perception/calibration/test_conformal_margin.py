@@ -223,7 +223,7 @@ def test_sentence_states_margin_probability_and_images():
     text = margin_sentence(margins_of(np.arange(1, 51) / 1000))
     assert "**4.90%** of the image's width" in text
     assert "probability of at least **0.95** (split conformal prediction on 50 images)" in text
-    assert "The planner does not use this margin yet." in text
+    assert "The planner keeps this margin if `motion_alpha` is set." in text
     assert "at least **0.75**" in margin_sentence(margins_of([0.1, 0.2, 0.3]))
     assert "No finite margin" in margin_sentence(margins_of([0.1, np.inf]))
     assert margin_sentence(None) == ""

@@ -196,7 +196,7 @@ def test_text_states_margins_and_their_coverage(report, folder):
     assert f"1 / (6 + 1) = {1 / 7:.2%}" in text
     assert f"the hand in `{report.image_ids[report.farthest_missed]}` extends farthest" in text
     assert "fitted on the 6 test images, so that no image is left to measure the coverage on" in text
-    assert "The planner does not use this margin yet" in text
+    assert "The planner keeps it if `motion_alpha` is set" in text
 
 
 def test_text_counts_the_covered_test_images_if_margins_have_images_of_their_own():
