@@ -14,7 +14,7 @@ from deltasafe.studies import baselines
 from deltasafe.studies.safety.evidence import Rate, by_speed, evaluate
 from deltasafe.studies.safety.study import SafetyStudy
 
-COLORS = baselines.COLORS | {"single_member": "#e08a1e", "top_speed": "#8a4fbf"}
+COLORS = baselines.COLORS | {"single_member": "#e08a1e", "top_speed": "#8a4fbf", "with_margin": "#8c5a3c"}
 INK, GRAY = "#1b1f24", "#8a8f98"
 ZERO_AT = 6e-4
 """Position of a rate of 0 on the logarithmic axis."""

