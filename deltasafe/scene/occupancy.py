@@ -141,7 +141,7 @@ class OccupancyGrid:
                 p_occupied=self.p_occupied,
                 origin_m=self.origin_m,
                 voxel_m=np.float64(self.voxel_m),
-                **({} if self.unseen is None else {"unseen": self.unseen}),
+                **({} if self.unseen is None else {"unseen": self.unseen}),  # type: ignore[arg-type]
             )
 
     @classmethod

@@ -10,8 +10,6 @@ from deltasafe.perception.calibration.delta_support import Calibration
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import Camera, OccupancyGrid
 
-__all__ = ["motion_margin_m", "require_supported_alpha"]
-
 _SAMPLES = 33
 """Points along each edge of the grid at which the ground sampling distance is evaluated, borders included."""
 
