@@ -15,6 +15,7 @@ from assets.perception_study import (
     augmentation_tables,
     cells,
     ensemble_size,
+    open_study,
     study_cell,
 )
 from deltasafe.compute.executor import LOCAL
@@ -117,7 +118,7 @@ def test_cell_is_trained_once_and_tables_name_the_missing_cells(few_hands, monke
     assert "Not finished yet: ours-100." in texts["ensemble_size"]
     assert "Not finished yet: ours-100, ours-100-without-background" in texts["augmentation_ablation"]
 
-    monkeypatch.setattr(command, "open_packaged", lambda root, workers: command.open_study(small, *paths, store))
+    monkeypatch.setattr(command, "open_packaged", lambda root, workers: open_study(small, *paths, store))
     paths = few_hands / "train", few_hands / "test"
     record = few_hands / "results" / "perception.json"
     record.parent.mkdir()
