@@ -20,7 +20,7 @@ SERVICES := $(VENV)/.services-installed
 CLUSTER := $(VENV)/.cluster-installed
 SITE := $(VENV)/.docs-installed
 RENDERER := $(VENV)/.renderer-installed
-REQUIREMENTS := -e .[vision,sim,mcap,signing] --group orchestration --group dev
+REQUIREMENTS := -e .[vision,sim,mcap,heic,signing] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
 .PHONY: help demo test check docs ui wheel clean lock results record study planner-study safety-study tracking-study benchmarks faults scale operation-record pictures sbom audit registry rollback examples surroundings hands scenes team services-test lint-deploy browser-test
@@ -145,7 +145,7 @@ audit: $(STAMP) $(AUDITOR) ## write the SBOM and check it for known vulnerabilit
 
 lock: ## renew constraints.txt with uv: the newest versions that install together
 	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \
-	  --extra vision --extra sim --extra mcap --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster --group docs pyproject.toml -o constraints.txt
+	  --extra vision --extra sim --extra mcap --extra heic --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster --group docs pyproject.toml -o constraints.txt
 
 clean: ## delete the environment
 	rm -rf $(VENV)

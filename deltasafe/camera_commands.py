@@ -74,8 +74,8 @@ def _locate(options: argparse.Namespace) -> None:
     from deltasafe.cameras.locate import MAX_ERROR, TABLE_RADIUS_M, locate_camera
     from deltasafe.cameras.located_picture import draw_located
     from deltasafe.geometry import Pose
+    from deltasafe.io.images import read_rgb
     from deltasafe.io.storage import atomic_file
-    from deltasafe.perception.data.labeled_images import read_rgb
 
     output, picture = options.output, options.output.with_suffix(".jpg")
     if output.suffix.lower() != ".json":

@@ -123,9 +123,9 @@ def _predict(options: argparse.Namespace) -> None:
     import cv2
     import numpy as np
 
+    from deltasafe.io.images import read_rgb
     from deltasafe.io.storage import atomic_file
     from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
-    from deltasafe.perception.data.labeled_images import read_rgb
     from deltasafe.perception.inference.occupancy_overlay import occupancy_overlay
 
     delta = options.delta

@@ -12,8 +12,8 @@ from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
 from deltasafe.interchange.frames import WORLD, Frames, frame_of, pose_of, same_pose
 from deltasafe.interchange.mcap_log import LogContent, LogWriter, open_log, read_log, stamp, time_ns_of
+from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_folder, write_json
-from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.perception.data.masks import read_mask
 from deltasafe.scene import LoggedScene
 

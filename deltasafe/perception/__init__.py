@@ -9,12 +9,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from deltasafe.io.images import read_rgb
     from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, golden_difference, load_ensemble
     from deltasafe.perception.calibration.delta_support import require_supported_delta
     from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, GateThresholds, gate
     from deltasafe.perception.data.augmentation.settings import AugmentationSettings
     from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
-    from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint, read_rgb
+    from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
     from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble, freeze_ensemble
     from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
     from deltasafe.perception.training.member import Member
@@ -46,12 +47,13 @@ __all__ = [
 ]
 
 _HOMES = {
+    ".io.images": ["read_rgb"],
     "artifact.frozen_ensemble": ["FrozenEnsemble", "golden_difference", "load_ensemble"],
     "calibration.delta_support": ["require_supported_delta"],
     "calibration.report": ["CalibrationReport", "CalibrationSettings", "GateThresholds", "gate"],
     "data.augmentation.settings": ["AugmentationSettings"],
     "data.augmented_set": ["AugmentedSet", "augment_images"],
-    "data.labeled_images": ["LabeledImageSet", "check_disjoint", "read_rgb"],
+    "data.labeled_images": ["LabeledImageSet", "check_disjoint"],
     "evaluate_and_freeze": ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"],
     "settings": ["InferenceSettings", "NetworkSettings", "TrainingSettings"],
     "training.member": ["Member"],
@@ -63,7 +65,7 @@ _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 def __getattr__(name: str) -> Any:
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    return getattr(importlib.import_module(f".{_HOME_OF[name]}", __name__), name)
 
 
 def __dir__() -> list[str]:

@@ -5,9 +5,9 @@ import pathlib
 from collections.abc import Sequence
 
 from deltasafe.compute.progress import Progress, silent
+from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_folder
 from deltasafe.perception.calibration.delta_support import Calibration, require_supported_delta
-from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.planning import MotionSettings, PlannedMotion, plan_motion
 from deltasafe.planning.audit import Audit, verify_motion
 from deltasafe.scene import LoggedScene

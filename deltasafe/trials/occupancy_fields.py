@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError
+from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_folder, read_json, write_json
-from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.perception.data.masks import read_mask
 from deltasafe.scene import FieldSettings, ImageStamp, LoggedScene, OccupancyGrid, grid_from_image
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
+from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_file
-from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.perception.inference.occupancy_overlay import occupancy_overlay
 from deltasafe.scene import LoggedScene
 from deltasafe.trials.occupancy_fields import load_p_occupied

@@ -6,8 +6,8 @@ import shutil
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.execution import SafetyVerdict, evaluate_execution, save_film
+from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_folder, write_json
-from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.planning import PlannedMotion
 from deltasafe.scene import LoggedScene
 from deltasafe.trials.executed_path_figure import executed_over_image

@@ -41,6 +41,7 @@ class AugmentedSet:
         source_digest: of the set of originals.
         background_digest: of the background photographs; empty without photographs.
         digest: SHA-256 of settings, sources and recipes; the recipes contain the digests of the pixels.
+        without_hand: ids of the originals that show no hand.
     """
 
     folder: pathlib.Path
@@ -51,6 +52,7 @@ class AugmentedSet:
     source_digest: str
     background_digest: str
     digest: str
+    without_hand: frozenset[str] = frozenset()
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "AugmentedSet":
@@ -77,7 +79,8 @@ class AugmentedSet:
         digest = _digest(settings, source, background, recipes)
         if digest != header["digest"]:
             raise DataError(folder, "has a digest that differs from its recipes' digest; make the augmented set again")
-        return cls(folder, images, masks, recipes, settings, source, background, digest)
+        without_hand = frozenset(header.get("without_hand", ()))
+        return cls(folder, images, masks, recipes, settings, source, background, digest, without_hand)
 
     @property
     def n(self) -> int:
@@ -85,9 +88,22 @@ class AugmentedSet:
         return len(self.recipes)
 
     @property
+    def n_originals(self) -> int:
+        """Number of originals."""
+        return len({recipe["source"] for recipe in self.recipes})
+
+    @property
     def n_distinct(self) -> int:
         """Number of different images; a scheme with few possible variants draws some of them repeatedly."""
         return len({recipe["digest"] for recipe in self.recipes})
+
+    def shown_hands(self) -> dict[str, float]:
+        """Fraction of the images of each original that show a hand, by its id, without originals that show none."""
+        shows: dict[str, list[bool]] = {}
+        for mask, recipe in zip(self.masks, self.recipes, strict=True):
+            if recipe["source"] not in self.without_hand:
+                shows.setdefault(recipe["source"], []).append(bool(mask.any()))
+        return {source: sum(found) / len(found) for source, found in shows.items()}
 
     def labels(self, indices: NDArray[np.integer] | slice) -> NDArray[np.float32]:
         """``(B, H, W)`` float32 in [0, 1]: the hand's coverage of each pixel, of the images at ``indices``."""
@@ -130,11 +146,12 @@ def augment_images(
     """
     settings = settings or AugmentationSettings()
     ours = isinstance(settings, AugmentationSettings)
-    backgrounds = backgrounds if ours else None
-    background_digest = Backgrounds.load(backgrounds).digest
+    photographs = Backgrounds.load(backgrounds if ours else None)
+    if photographs.ignored:
+        progress(0, len(images), f"ignored in {backgrounds}: {photographs.ignored}")
     with atomic_folder(folder) as temporary:
         try:
-            recipes = _write_images(images, temporary, settings, backgrounds, workers, progress)
+            recipes = _write_images(images, temporary, settings, photographs, workers, progress)
         finally:  # a single worker is this process
             _cached_generator.cache_clear()
         with (temporary / "recipes.jsonl").open("w", encoding="utf-8") as file:
@@ -147,9 +164,10 @@ def augment_images(
             "settings": dataclasses.asdict(settings),
             "source": images.name,
             "source_digest": images.digest,
-            "background_digest": background_digest,
-            "digest": _digest(settings, images.digest, background_digest, recipes),
+            "background_digest": photographs.digest,
+            "digest": _digest(settings, images.digest, photographs.digest, recipes),
             "applied": applied,
+            "without_hand": images.without_hand,
             **({} if ours else {"scheme": scheme_name(settings)}),
         }
         write_json(temporary / "set.json", header)
@@ -160,7 +178,7 @@ def _write_images(
     images: LabeledImageSet,
     folder: pathlib.Path,
     settings: SchemeSettings,
-    backgrounds: str | pathlib.Path | None,
+    backgrounds: Backgrounds,
     workers: int,
     progress: Progress,
 ) -> tuple[dict[str, Any], ...]:
@@ -184,7 +202,7 @@ def _write_images(
 
 
 def _variants(
-    images: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings, caller_pid: int, i: int
+    images: LabeledImageSet, backgrounds: Backgrounds, settings: SchemeSettings, caller_pid: int, i: int
 ) -> list[AugmentedImage]:
     if os.getpid() != caller_pid:
         # the workers share the cores; in the caller itself OpenCV's pool may stem from before a fork and would hang
@@ -193,11 +211,9 @@ def _variants(
 
 
 @functools.lru_cache(maxsize=1)
-def _cached_generator(
-    images: LabeledImageSet, backgrounds: str | pathlib.Path | None, settings: SchemeSettings
-) -> VariantGenerator:
-    """Create the generator once per process, because it reads all backgrounds or all originals."""
-    return variant_generator(images, Backgrounds.load(backgrounds), settings)
+def _cached_generator(images: LabeledImageSet, backgrounds: Backgrounds, settings: SchemeSettings) -> VariantGenerator:
+    """Create the generator once per process, because it may read all originals."""
+    return variant_generator(images, backgrounds, settings)
 
 
 def _read_recipes(path: pathlib.Path) -> tuple[dict[str, Any], ...]:

@@ -2,9 +2,7 @@
 
 import dataclasses
 import functools
-import io
 import pathlib
-import warnings
 from collections.abc import Collection, Mapping
 
 import numpy as np
@@ -12,11 +10,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from deltasafe.errors import DataError
+from deltasafe.io.images import decode_image
 
 ANY_CLASS = "*"
 MAX_AREA, MAX_BORDER = 0.5, 0.9
-_MAX_PIXELS = 80_000_000
-_EXIF_ORIENTATION = 0x0112
 _MAX_NAMED = 8
 Pixels = NDArray[np.uint8]
 Codes = NDArray[np.uint32]
@@ -120,11 +117,12 @@ def read_mask_plane(
     return MaskPlane(path, codes, full_scale, (values if full_scale else colors) or {})
 
 
-def read_mask(path: str | pathlib.Path) -> Pixels:
+def read_mask(path: str | pathlib.Path, may_be_empty: bool = False) -> Pixels:
     """Read a mask of one class as ``(H, W)`` uint8: 255 marks the hand, 0 everything else.
 
     Raises:
-        DataError: the file is unreadable, or its meaning is ambiguous; the message names the option that decides.
+        DataError: the file is unreadable, or its meaning is ambiguous; the message names the option that decides. Or
+            it marks no hand, unless it ``may_be_empty``.
     """
     plane = read_mask_plane(path)
     if len(plane.classes) > 1:
@@ -133,7 +131,7 @@ def read_mask(path: str | pathlib.Path) -> Pixels:
         options += ", or --threshold 0.5 if they are shades" if len(plane.classes) > 2 else ""
         found = f"has {len(plane.classes)} {kind} besides black ({plane.listed()})"
         raise DataError(path, f"{found}; convert the set by `deltasafe hands import SET NEW_SET` with {options}")
-    if not plane.classes:
+    if not plane.classes and not may_be_empty:
         raise DataError(path, "marks no hand (every pixel is 0); label the image, or remove it from the set")
     return plane.select([ANY_CLASS]).astype(np.uint8) * 255
 
@@ -148,29 +146,10 @@ def polarity_defect(mask: NDArray[np.generic]) -> str | None:
 
 
 def _opened(path: pathlib.Path) -> Image.Image:
-    if path.exists() and not path.is_file():
-        raise DataError(path, "is not a file; give an image file")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataError(path, f"cannot be read ({error.strerror}); restore the file") from error
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about size and damaged EXIF; both are checked here
-            image = Image.open(io.BytesIO(data))
-            width, height = image.size
-            if width * height > _MAX_PIXELS:
-                raise DataError(path, f"has {width} x {height} pixels; at most {_MAX_PIXELS} are allowed")
-            orientation = image.getexif().get(_EXIF_ORIENTATION, 1)
-            image.load()
-    except DataError:
-        raise
-    except Exception as error:  # the type depends on the file format
-        reason = " ".join(str(error).replace(repr(data), "").split())[:120]
-        raise DataError(path, f"is not a readable image ({len(data)} bytes; {reason}); restore or remove it") from error
-    if orientation in range(2, 9):
-        raise DataError(path, f"has EXIF orientation {orientation}; save the mask without it, as PNG")
-    return image
+    decoded = decode_image(path)
+    if decoded.orientation != 1:
+        raise DataError(path, f"has EXIF orientation {decoded.orientation}; save the mask without it, as PNG")
+    return decoded.image
 
 
 def _gray(path: pathlib.Path, image: Image.Image) -> tuple[Codes, int]:

@@ -49,7 +49,7 @@ def draw_scenario(settings: SafetyStudySettings, n_scenes: int, scene: LoggedSce
     Raises:
         DataError: the image is unreadable or does not have the size of its camera.
     """
-    from deltasafe.perception.data.labeled_images import read_rgb
+    from deltasafe.io.images import read_rgb
 
     rng = np.random.default_rng([settings.seed, number])
     rgb = read_rgb(scene.image_path)

@@ -11,7 +11,8 @@ from random import Random
 import numpy as np
 from PIL import Image
 
-from deltasafe.perception.data.labeled_images import LabeledImageSet, read_rgb
+from deltasafe.io.images import read_rgb
+from deltasafe.perception.data.labeled_images import LabeledImageSet
 from evidence.faults.malformed.files import (
     at,
     cases_of,
@@ -51,7 +52,10 @@ def hand_cases(home: pathlib.Path) -> list[Case]:
             shutil.copyfile(source, valid / folder / f"{name}{source.suffix}")
     image, mask = (min((valid / folder).iterdir()) for folder in ("images", "masks"))
     kind = InputKind("hands", valid, lambda given, out: LabeledImageSet.load(given))
-    image_changes = {**file_changes(), **_image_changes(image)}
+    with Image.open(image) as opened:
+        picture = opened.convert("RGB")
+    ambiguous = {f"exif orientation {n}": filled(_rotated(picture, "JPEG", n)) for n in (2, 3, 4)}
+    image_changes = {**file_changes(), **_image_changes(image), **ambiguous}
     mask_changes = {**file_changes(), **dict(_mask_changes(mask))}
     return cases_of(
         kind,
@@ -67,9 +71,10 @@ def _image_changes(valid: pathlib.Path) -> dict[str, Change]:
     with Image.open(valid) as opened:
         picture = opened.convert("RGB")
     png, jpeg = _encoded(picture, "PNG"), _encoded(picture, "JPEG")
+    others = {form.lower(): _encoded(picture, form) for form in ("WEBP", "TIFF", "BMP")}
     changes = {
         f"{form} truncated at {fraction:g}": _truncated(whole, fraction)
-        for form, whole in (("png", png), ("jpeg", jpeg))
+        for form, whole in {"png": png, "jpeg": jpeg, **others}.items()
         for fraction in (0.01, 0.1, 0.3, 0.6, 0.9, 0.99)
     }
     for width, height in ((2**31 - 1, 2**31 - 1), (100_000, 100_000), (0, 100), (30_000, 30_000)):
@@ -77,15 +82,13 @@ def _image_changes(valid: pathlib.Path) -> dict[str, Change]:
     for width, height in ((65_535, 65_535), (65_500, 20_000), (0, 100), (30_000, 30_000)):
         changes[f"jpeg claims {width} x {height}"] = filled(_jpeg_of_size(jpeg, width, height))
     changes["png that unpacks to 400 million pixels"] = filled(_encoded(Image.new("1", (20_000, 20_000)), "PNG"))
-    for orientation in range(2, 9):
-        changes[f"exif orientation {orientation}"] = filled(_rotated(picture, "JPEG", orientation))
-    changes["exif orientation in a png"] = filled(_rotated(picture, "PNG", 6))
-    deep = np.asarray(picture.convert("L"), np.uint16) * 257
-    changes["png with 16 bits"] = filled(_encoded(Image.fromarray(deep), "PNG"))
-    for mode in ("L", "RGBA", "LA"):
-        changes[f"png with mode {mode}"] = filled(_encoded(picture.convert(mode), "PNG"))
-    for mode in ("L", "CMYK"):
-        changes[f"jpeg with mode {mode}"] = filled(_encoded(picture.convert(mode), "JPEG"))
+    changes["exposed in 12 of 16 bits"] = filled(
+        _encoded(Image.fromarray(_gray(picture).astype(np.uint16) * 16), "PNG")
+    )
+    changes["half transparent"] = filled(_encoded(_half_transparent(picture), "PNG"))
+    changes["two pages"] = filled(_encoded(picture, "TIFF", save_all=True, append_images=[picture]))
+    changes["preview of a raw file"] = filled(_encoded(picture, "TIFF", tiffinfo={254: 1}))
+    changes["pointer of git lfs"] = filled(b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
     changes["tiff with floats"] = filled(_encoded(picture.convert("F"), "TIFF"))
     changes["palette with a transparent color"] = filled(_encoded(picture.quantize(16), "PNG", transparency=0))
     for n in range(5):
@@ -169,6 +172,16 @@ def _rotated(picture: Image.Image, form: str, orientation: int) -> bytes:
     exif = Image.Exif()
     exif[EXIF_ORIENTATION] = orientation
     return _encoded(picture, form, exif=exif)
+
+
+def _gray(picture: Image.Image) -> np.ndarray:
+    return np.asarray(picture.convert("L"))
+
+
+def _half_transparent(picture: Image.Image) -> Image.Image:
+    alpha = np.full((picture.height, picture.width), 255, np.uint8)
+    alpha[::2] = 0
+    return Image.fromarray(np.dstack([np.asarray(picture), alpha]))
 
 
 def _truncated(data: bytes, fraction: float) -> Change:

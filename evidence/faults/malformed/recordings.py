@@ -10,7 +10,7 @@ import numpy as np
 
 from deltasafe.execution import Execution
 from deltasafe.geometry import PosePath, Trajectory
-from deltasafe.perception.data.labeled_images import read_registry
+from deltasafe.io.checksum_list import read_registry
 from deltasafe.perception.training.member import Member
 from deltasafe.planning import (
     MotionSettings,

@@ -14,7 +14,7 @@ from deltasafe.perception.data.augmentation.hand_cutout import HandCutout
 from deltasafe.perception.data.augmentation.layers import Layers
 from deltasafe.perception.data.augmentation.noise import degrade, random_erase
 from deltasafe.perception.data.augmentation.settings import METHOD_NAMES, AugmentationSettings
-from deltasafe.perception.data.labeled_images import resize_labeled
+from deltasafe.perception.data.labeled_pair import resize_labeled
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,10 +69,12 @@ def augment(
     """Make variant number ``variant`` of an original; the result depends on the arguments alone.
 
     Methods are applied in the order of ``METHOD_NAMES``. Each draws from its own random stream, so that leaving one
-    out does not change the others.
+    out does not change the others. An image without a hand keeps its background, which is all that it shows.
     """
     seed = image_seed(image_id, variant, settings.seed)
     chosen = chosen_methods(seed, settings)
+    if not hand.alpha.any():
+        chosen = tuple(name for name in chosen if name != "background")
     rngs = {name: np.random.default_rng([seed, 1 + i]) for i, name in enumerate(METHOD_NAMES) if name in chosen}
     points, drawn = _source_points(hand, rngs, _canvas_size(settings))
     layers = Layers.sample(hand, points)
@@ -104,10 +106,15 @@ def _source_points(
 ) -> tuple[np.ndarray, dict[str, dict[str, Any]]]:
     """``(H, W, 2)`` float32, where each canvas pixel comes from in the original, and what each warp has drawn."""
     width, height = size
-    covering = min(hand.alpha.shape[1] / width, hand.alpha.shape[0] / height)
-    source_middle = np.array([hand.alpha.shape[1] - 1, hand.alpha.shape[0] - 1]) / 2
+    source = np.array(hand.alpha.shape[::-1])
+    covering = min(source[0] / width, source[1] / height)
+    crop_px = np.rint(covering * np.array(size))
+    focus, beside_px = hand.focus(crop_px), np.maximum(source - crop_px, 0) / 2
+    # of an image with another aspect ratio than the canvas, the part around the hand is shown
+    source_middle = (source - 1) / 2
+    source_middle = source_middle + np.clip(focus - source_middle, -beside_px, beside_px)
     middle = np.array([width - 1, height - 1]) / 2
-    center = (hand.center - source_middle) / covering + middle
+    center = (focus - source_middle) / covering + middle
     warps, drawn = [], {}
     for name, draw_warp in WARPS.items():
         if name in rngs:

@@ -1,21 +1,31 @@
 """Backgrounds behind the hand: photographs, procedural surfaces, clutter, and combinations of them."""
 
 import dataclasses
+import functools
 import pathlib
 
 import cv2
 import numpy as np
 
 from deltasafe.errors import DataError
+from deltasafe.io.folder_entries import IMAGE_SUFFIXES, FolderEntries
+from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import digest_of, sha256_of_file
 from deltasafe.perception.data.augmentation.clutter import add_clutter
 from deltasafe.perception.data.augmentation.textures import light_gradient, random_surface, smooth_noise
-from deltasafe.perception.data.labeled_images import IMAGE_SUFFIXES, read_or_none, read_rgb
+from deltasafe.perception.data.labeled_images import read_or_none
 
 P_PHOTOGRAPH = 0.4
 P_SECOND_SURFACE = 0.2
 P_CLUTTER = 0.5
 P_SHADOW = 0.25
+MAX_PIXELS = 2**20
+"""Of a photograph in memory. Its smallest crop (0.4 of each side) has the pixels of a canvas of 384 x 288."""
+
+_CACHED = 64
+"""Photographs in memory of each process: at most 200 MB. Further ones are read again when they are drawn."""
+
+_MIN_SIDE_PX = 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,36 +33,42 @@ class Backgrounds:
     """Photographs without hands.
 
     Attributes:
-        names: file names, sorted.
-        images: ``(H, W, 3)`` uint8 each, of any size.
+        paths: of the files, sorted; each is read when it is drawn.
         digest: SHA-256 over names and contents.
+        ignored: entries of the folder that are no images, for a log.
     """
 
-    names: tuple[str, ...] = ()
-    images: tuple[np.ndarray, ...] = ()
+    paths: tuple[pathlib.Path, ...] = ()
     digest: str = ""
+    ignored: str = ""
 
     @classmethod
     def load(cls, folder: str | pathlib.Path | None) -> "Backgrounds":
-        """Read all images of ``folder`` (RGB, JPEG or PNG); None gives no photographs.
+        """Check all images of ``folder``; None gives no photographs. One image at a time is in memory.
 
         Raises:
-            DataError: the folder is missing or holds no image; or lists the files that are not RGB images.
+            DataError: the folder is missing or holds no image; or lists the files that are defective or too small.
         """
         if folder is None:
             return cls()
         folder = pathlib.Path(folder)
         if not folder.is_dir():
             raise DataError(folder, "is not a folder; give a folder of images without hands")
-        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-        if not paths:
+        entries = FolderEntries.of(folder)
+        if not entries.images:
             raise DataError(folder, f"holds no image ({', '.join(IMAGE_SUFFIXES)}); add some")
         defects: list[DataError] = []
-        images = tuple(image for path in paths if (image := read_or_none(read_rgb, path, defects)) is not None)
+        for path in entries.images:
+            read_or_none(_read, path, defects)
         if defects:
             raise DataError.combined(folder, defects)
-        digest = digest_of([(path.name, sha256_of_file(path)) for path in paths])
-        return cls(tuple(path.name for path in paths), images, digest)
+        _cached.cache_clear()  # a file may have changed
+        digest = digest_of([(path.name, sha256_of_file(path)) for path in entries.images])
+        return cls(entries.images, digest, entries.ignored)
+
+    def read(self, index: int) -> np.ndarray:
+        """Return a photograph ``(H, W, 3)`` uint8 of at most ``MAX_PIXELS`` pixels."""
+        return _cached(self.paths[index])
 
 
 def draw_background(
@@ -82,10 +98,10 @@ def draw_background(
 def _photograph_or_surface(
     rng: np.random.Generator, backgrounds: Backgrounds, width: int, height: int
 ) -> tuple[np.ndarray, str]:
-    if not backgrounds.images or rng.random() >= P_PHOTOGRAPH:
+    if not backgrounds.paths or rng.random() >= P_PHOTOGRAPH:
         return random_surface(rng, width, height)
-    index = int(rng.integers(len(backgrounds.images)))
-    rgb = _random_crop(rng, backgrounds.images[index], width, height)
+    index = int(rng.integers(len(backgrounds.paths)))
+    rgb = _random_crop(rng, backgrounds.read(index), width, height)
     hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV)
     if rng.random() < 0.4:
         hsv[..., 0] = (hsv[..., 0] + rng.uniform(-180, 180)) % 360
@@ -93,7 +109,18 @@ def _photograph_or_surface(
     rgb = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB) ** np.float32(np.exp(rng.uniform(-0.5, 0.6)))
     if rng.random() < 0.4:  # out of focus
         rgb = cv2.GaussianBlur(rgb, (0, 0), rng.uniform(0.8, 6.0))
-    return rgb, backgrounds.names[index]
+    return rgb, backgrounds.paths[index].name
+
+
+def _read(path: pathlib.Path) -> np.ndarray:
+    rgb = read_rgb(path, MAX_PIXELS)
+    if min(rgb.shape[:2]) < _MIN_SIDE_PX:
+        size = f"{rgb.shape[1]} x {rgb.shape[0]} pixels"
+        raise DataError(path, f"has {size}, a background needs at least {_MIN_SIDE_PX} per side; remove it")
+    return rgb
+
+
+_cached = functools.lru_cache(maxsize=_CACHED)(_read)
 
 
 def _random_crop(rng: np.random.Generator, image: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from deltasafe.perception.data.augmentation.arm import Arm
-from deltasafe.perception.data.labeled_images import resize_labeled
+from deltasafe.perception.data.labeled_pair import resize_labeled
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,7 +19,8 @@ class HandCutout:
         alpha: ``(H, W)`` float32 in [0, 1], the hand's coverage of each pixel.
         smooth_rgb: ``rgb`` blurred, for the continued arm: repeating one sharp line of pixels would look streaked.
         background: ``(H, W, 3)`` float32, the image with the hand filled in from the pixels around it.
-        center: ``(2,)`` center of the hand's bounding box, x and y in pixels.
+        center, extent: ``(2,)`` center and size of the hand's bounding box, x and y in pixels; those of the image if it
+            shows no hand.
         arm: where the arm leaves the image, or None.
     """
 
@@ -28,6 +29,7 @@ class HandCutout:
     smooth_rgb: np.ndarray
     background: np.ndarray
     center: np.ndarray
+    extent: np.ndarray
     arm: Arm | None
 
     @classmethod
@@ -48,13 +50,25 @@ class HandCutout:
         outer = 1 - cv2.dilate(padded, ellipse)[3:-3, 3:-3]
         alpha = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.6, borderType=cv2.BORDER_REPLICATE)
         ys, xs = np.nonzero(mask)
-        center = np.array([(xs.min() + xs.max()) / 2, (ys.min() + ys.max()) / 2]) if xs.size else np.zeros(2)
+        low, high = (
+            ((xs.min(), ys.min()), (xs.max(), ys.max())) if xs.size else ((0, 0), np.array(mask.shape[::-1]) - 1)
+        )
         hand = _filled(color, inner if inner.any() else mask)
         filled = cv2.GaussianBlur(_filled(color, outer), (0, 0), 6.0) if outer.any() else color
         background = np.where(outer[..., None] > 0, color, filled)
         arm = Arm.from_mask(mask)
         smooth = hand if arm is None else cv2.GaussianBlur(hand, (0, 0), max(0.07 * arm.width_px, 0.5))
-        return cls(hand, alpha, smooth, background, center, arm)
+        return cls(hand, alpha, smooth, background, np.add(low, high) / 2, np.subtract(high, low) + 1, arm)
+
+    def focus(self, crop_px: np.ndarray) -> np.ndarray:
+        """Return the point ``(2,)`` that a crop of the image should show in its middle.
+
+        It is the center of the bounding box. Where the box is larger than the crop, the end opposite to the arm is
+        shown, because a forearm may be longer than the crop.
+        """
+        if self.arm is None:
+            return self.center
+        return self.center - np.sign(self.arm.direction) * np.maximum(self.extent - crop_px, 0) / 2
 
 
 def _without_severed_parts(mask: np.ndarray) -> np.ndarray:

@@ -13,11 +13,12 @@ import cv2
 import numpy as np
 
 from deltasafe.errors import DataError
+from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.perception.data.importing.formats import read_source
 from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.importing.source import LabelSource, SourceImage
-from deltasafe.perception.data.labeled_images import LabeledImageSet, read_rgb
+from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.labeled_images_figure import labeled_images_figure
 from deltasafe.perception.data.masks import ANY_CLASS, polarity_defect
 from deltasafe.reporting.markdown import table

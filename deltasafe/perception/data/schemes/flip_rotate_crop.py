@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from deltasafe.perception.data.labeled_images import resize_labeled
+from deltasafe.perception.data.labeled_pair import resize_labeled
 from deltasafe.perception.data.schemes.originals import Originals, Variant
 from deltasafe.perception.data.schemes.settings import FlipRotateCropSettings
 

@@ -7,7 +7,8 @@ from typing import TypeAlias
 import cv2
 import numpy as np
 
-from deltasafe.perception.data.labeled_images import LabeledImageSet, resize_labeled
+from deltasafe.perception.data.labeled_images import LabeledImageSet
+from deltasafe.perception.data.labeled_pair import resize_labeled
 
 Variant: TypeAlias = tuple[np.ndarray, np.ndarray, list[dict[str, object]]]
 """Image, mask, and the operations that were applied, as a compared scheme returns them."""
@@ -45,11 +46,24 @@ class Originals:
 
 
 def crop_and_resize(rgb: np.ndarray, mask: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Crop image and mask to the largest centered region of the new aspect ratio; resize to ``width`` x ``height``."""
+    """Crop image and mask to the largest region of the new aspect ratio around the hand; resize it.
+
+    Args:
+        rgb: ``(H, W, 3)``.
+        mask: ``(H, W)``; without a hand, the region is centered in the image.
+        width: of the result, in pixels.
+        height: of the result, in pixels.
+    """
     rows, columns = mask.shape
     scale = min(columns / width, rows / height)
     w, h = min(columns, round(width * scale)), min(rows, round(height * scale))
-    x, y = (columns - w) // 2, (rows - h) // 2
+    x, y = _start(np.flatnonzero(mask.any(axis=0)), columns, w), _start(np.flatnonzero(mask.any(axis=1)), rows, h)
     crop = np.s_[y : y + h, x : x + w]
     interpolation = cv2.INTER_AREA if scale > 1 else cv2.INTER_LINEAR
     return resize_labeled(rgb[crop], mask[crop], (width, height), interpolation)
+
+
+def _start(marked: np.ndarray, size: int, length: int) -> int:
+    """Start of the part of ``length`` of a line of ``size`` that is centered at its ``marked`` indices, if any."""
+    middle = (int(marked[0]) + int(marked[-1]) + 1) // 2 if marked.size else size // 2
+    return min(max(middle - length // 2, 0), size - length)

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deltasafe.errors import DataError, SettingsError
+from deltasafe.errors import SettingsError
 from deltasafe.perception.data.augmentation import METHOD_NAMES, AugmentationSettings
 from deltasafe.perception.data.augmentation.arm import Arm
 from deltasafe.perception.data.augmentation.augment import augment, chosen_methods, cut_out_hand, image_seed
@@ -231,18 +231,55 @@ def test_tones_go_from_dark_to_light_and_are_red_and_yellow() -> None:
     assert np.all(tones[:, 1:] > 0)
 
 
-def test_backgrounds_are_named_in_the_recipe(tmp_path) -> None:
-    with pytest.raises(DataError, match="is not a folder"):
-        Backgrounds.load(tmp_path / "none")
-    with pytest.raises(DataError, match="holds no image"):
-        Backgrounds.load(tmp_path)
-    assert cv2.imwrite(str(tmp_path / "b.png"), np.full((30, 20, 3), 9, np.uint8))
-    assert cv2.imwrite(str(tmp_path / "a.jpg"), np.full((50, 400, 3), 9, np.uint8))
-    backgrounds = Backgrounds.load(tmp_path)
-    assert backgrounds.names == ("a.jpg", "b.png")
-    hand = skin_on_gray(hand_mask())
-    sources = {augment("x", hand, v, backgrounds, SMALL).recipe["operations"][0]["source"] for v in range(40)}
-    assert {"a.jpg", "b.png"} < sources
+def photographed(width: int, height: int, hand: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """An image of noise with a hand of one color; its box is left, top, right, bottom."""
+    rgb = np.random.default_rng(1).integers(0, 90, (height, width, 3), dtype=np.uint8)
+    mask = np.zeros((height, width), np.uint8)
+    mask[hand[1] : hand[3], hand[0] : hand[2]] = 1
+    rgb[mask > 0] = (220, 160, 130)
+    return rgb, mask
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "hand"),
+    [
+        (270, 480, (90, 380, 180, 470)),  # a phone held upright, the hand low
+        (270, 480, (90, 10, 180, 100)),
+        (270, 480, (100, 150, 170, 480)),  # a forearm longer than the canvas is high
+        (960, 200, (20, 50, 120, 150)),  # a panorama
+        (960, 200, (860, 40, 960, 140)),
+    ],
+)
+def test_hand_stays_in_the_image_whatever_the_aspect_ratio(width: int, height: int, hand: tuple) -> None:
+    cutout = cut_out_hand(*photographed(width, height, hand), SMALL)
+    made = [augment("phone", cutout, variant, Backgrounds(), SMALL) for variant in range(40)]
+    assert np.mean([image.mask.any() for image in made]) >= 0.95
+    plain = dataclasses.replace(SMALL, probability=0.0)
+    assert 0.02 < augment("phone", cutout, 0, Backgrounds(), plain).mask.mean() < 0.6
+
+
+def test_long_forearm_leaves_the_hand_in_the_crop() -> None:
+    """The crop shows the end of the bounding box that is opposite to the arm."""
+    rgb, mask = photographed(120, 600, (40, 200, 80, 600))
+    cutout = cut_out_hand(rgb, mask, SMALL)
+    scale = cutout.alpha.shape[1] / 120
+    crop_px = np.array([cutout.alpha.shape[1], 90.0 * scale])
+    np.testing.assert_allclose(cutout.focus(crop_px)[1] - crop_px[1] / 2, 200 * scale, atol=2)
+
+
+def test_image_without_a_hand_keeps_its_background() -> None:
+    rgb, mask = photographed(64, 48, (0, 0, 0, 0))
+    plain = dataclasses.replace(SMALL, probability=0.0)
+    cutout = cut_out_hand(rgb, mask, SMALL)
+    made = augment("table", cutout, 0, Backgrounds(), plain)
+    assert not made.mask.any()
+    assert made.recipe["operations"] == []
+    canvas = cv2.resize(rgb, (SMALL.width, SMALL.height), interpolation=cv2.INTER_AREA)
+    assert np.abs(made.image.astype(int) - canvas).mean() < 12
+    for variant in range(30):
+        made = augment("table", cutout, variant, Backgrounds(), SMALL)
+        assert not made.mask.any()
+        assert "background" not in [step["method"] for step in made.recipe["operations"]]
 
 
 @pytest.mark.parametrize(

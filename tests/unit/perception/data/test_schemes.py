@@ -180,9 +180,16 @@ def test_resizing_averages_over_areas() -> None:
     small, small_mask = crop_and_resize(rgb, mask, 6, 4)
     np.testing.assert_allclose(small, rgb.reshape(4, 2, 6, 2, 3).mean(axis=(1, 3)), atol=0.51)
     np.testing.assert_array_equal(small_mask, [[1, 1, 1, 0, 0, 0]] * 4)
-    wide, _ = crop_and_resize(rgb, mask, 4, 4)
-    assert wide.shape == (4, 4, 3)
-    np.testing.assert_allclose(wide, rgb[:, 2:10].reshape(4, 2, 4, 2, 3).mean(axis=(1, 3)), atol=0.51)
+
+
+@pytest.mark.parametrize(("marked", "first"), [((0, 5), 0), ((5, 7), 2), ((10, 12), 4), ((0, 0), 2)])
+def test_crop_of_another_aspect_ratio_is_around_the_hand(marked: tuple[int, int], first: int) -> None:
+    rgb = np.arange(8 * 12 * 3, dtype=np.uint8).reshape(8, 12, 3)
+    mask = np.zeros((8, 12), np.uint8)
+    mask[:, slice(*marked)] = 1
+    square, _ = crop_and_resize(rgb, mask, 4, 4)
+    expected = rgb[:, first : first + 8].reshape(4, 2, 4, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(square, expected, atol=0.51)
 
 
 @pytest.mark.parametrize("name", COMPARED)
