@@ -49,31 +49,16 @@ def no_image_in_both_sets(test_hands: pathlib.Path, raw_hands: pathlib.Path) -> 
 def images_match_their_recipes(augmented_hands: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.errors import DataError
     from deltasafe.perception.data.augmented_set import AugmentedSet
+    from deltasafe.perception.data.shown_hands import ShownHands
 
     data = AugmentedSet.load(augmented_hands)
     try:
         data.verify()
     except DataError as error:
         return dg.AssetCheckResult(passed=False, description=str(error))
-    shown = data.shown_hands()
-    with_hand = sum(shown.values()) / len(shown)
-    hand_fraction = float(data.masks.mean()) * data.n_originals / len(shown)
-    passed = with_hand >= 0.95 and 0.02 <= hand_fraction <= 0.6
-    found = (
-        f"{with_hand:.1%} of the images of hands show one (at least 95 % required); "
-        f"hands cover {hand_fraction:.1%} of their pixels (2 to 60 % required)"
-    )
-    if with_hand < 0.95:
-        worst = sorted(shown, key=lambda source: shown[source])[:5]
-        lost = ", ".join(f"{source} ({shown[source]:.0%})" for source in worst)
-        found += f"; fewest images show the hand of the originals {lost}: crop them closer around the hand"
-    elif not passed:
-        wrong = (
-            "small: crop the originals closer around the hand" if hand_fraction < 0.02 else "large: are masks inverted?"
-        )
-        found += f"; hands are too {wrong}"
-    fractions = {"images with a hand": round(with_hand, 4), "fraction of hand pixels": round(hand_fraction, 4)}
-    return dg.AssetCheckResult(passed=passed, description=found, metadata=fractions)
+    shown = ShownHands.of(data)
+    fractions = {"images with a hand": round(shown.fraction, 4), "fraction of hand pixels": round(shown.coverage, 4)}
+    return dg.AssetCheckResult(passed=shown.passed, description=shown.sentence(), metadata=fractions)
 
 
 @dg.asset_check(

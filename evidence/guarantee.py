@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
 from deltasafe.io.arrays import read_npz
+from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_file
 from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, load_ensemble
 from deltasafe.perception.calibration.conformal_margin import ConformalMargins, hausdorff_at_delta
 from deltasafe.perception.calibration.temperature import pooled_probability
-from deltasafe.perception.data.labeled_images import read_rgb
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import LoggedScene, grid_from_image, load_scenes
 from deltasafe.studies.intervals import clopper_pearson

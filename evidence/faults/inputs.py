@@ -3,13 +3,18 @@
 Every case is a valid input with one corruption. It is given to the library, and to the command that reads such an
 input (``deltasafe verify``, ``predict``, ``export``, ``import``). The command must print one line, no traceback, and
 exit with a nonzero status. Neither may leave output behind.
+
+Inputs in the forms that people have them must be accepted, with the same pixels (`evidence.faults.welcome`).
 """
 
 import collections
 import pathlib
+import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
+
+import numpy as np
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DeltasafeError
@@ -20,8 +25,10 @@ from evidence.faults.malformed.recordings import recording_cases
 from evidence.faults.malformed.scenes import copied_scene, scene_cases
 from evidence.faults.malformed.tasks import task_cases
 from evidence.faults.rejection import Case, Failure, InputKind, check_rejection
+from evidence.faults.welcome import image_kinds, wrong_welcomes
 from evidence.fixtures import temporary_home, tiny_ensemble
 from evidence.reporting import command_parser, finish, print_progress
+from pipelines.home import DATASETS
 
 
 def all_cases(home: pathlib.Path) -> list[Case]:
@@ -65,6 +72,17 @@ def rejected_valid_inputs(cases: Sequence[Case], home: pathlib.Path) -> list[Fai
     return found
 
 
+def named_hands(home: pathlib.Path) -> pathlib.Path:
+    """Copy the first three images of the packaged training set; the name of one is not ASCII."""
+    folder = home / "named hands"
+    for part in ("images", "masks"):
+        (folder / part).mkdir(parents=True)
+        paths = sorted((DATASETS / "hands" / "train" / part).iterdir())[:3]
+        for path, stem in zip(paths, ("h\u00e4nd", "b", "c"), strict=True):
+            shutil.copyfile(path, folder / part / f"{stem}{path.suffix}")
+    return folder
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run ``python -m evidence.faults.inputs``."""
     options = command_parser("faults.inputs", __doc__, seeded=True).parse_args(arguments)
@@ -72,15 +90,19 @@ def main(arguments: list[str] | None = None) -> int:
         cases = all_cases(home)
         failures = rejected_valid_inputs(cases, home)
         failures += check_all(cases, home, options.seed, print_progress(50))
+        n_welcome, wrong = wrong_welcomes(home, named_hands(home))
     counts = collections.Counter(failure.kind for failure in failures)
     figures = {
         "bad_inputs": len(cases),
         "bad_inputs_untyped": counts["untyped"],
         "bad_inputs_unnamed": counts["unnamed"],
         "bad_inputs_left_output": counts["left"],
+        "welcome_inputs": n_welcome,
+        "welcome_inputs_wrong": len(wrong),
+        "image_kinds": len(image_kinds(np.zeros((4, 4, 3), np.uint8))),
     }
     by_kind = dict(collections.Counter(case.kind.name for case in cases))
-    return finish(options, figures, [failure.text for failure in failures], by_kind=by_kind)
+    return finish(options, figures, [*(failure.text for failure in failures), *wrong], by_kind=by_kind)
 
 
 if __name__ == "__main__":

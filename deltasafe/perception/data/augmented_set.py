@@ -88,22 +88,9 @@ class AugmentedSet:
         return len(self.recipes)
 
     @property
-    def n_originals(self) -> int:
-        """Number of originals."""
-        return len({recipe["source"] for recipe in self.recipes})
-
-    @property
     def n_distinct(self) -> int:
         """Number of different images; a scheme with few possible variants draws some of them repeatedly."""
         return len({recipe["digest"] for recipe in self.recipes})
-
-    def shown_hands(self) -> dict[str, float]:
-        """Fraction of the images of each original that show a hand, by its id, without originals that show none."""
-        shows: dict[str, list[bool]] = {}
-        for mask, recipe in zip(self.masks, self.recipes, strict=True):
-            if recipe["source"] not in self.without_hand:
-                shows.setdefault(recipe["source"], []).append(bool(mask.any()))
-        return {source: sum(found) / len(found) for source, found in shows.items()}
 
     def labels(self, indices: NDArray[np.integer] | slice) -> NDArray[np.float32]:
         """``(B, H, W)`` float32 in [0, 1]: the hand's coverage of each pixel, of the images at ``indices``."""

@@ -108,14 +108,7 @@ def _mask_changes(valid: pathlib.Path) -> Iterator[tuple[str, Change]]:
         yield f"with size {size}", filled(_encoded(Image.fromarray(mask).resize(size, 0), "PNG"))
     for value in (1, 2, 100, 127, 128, 200, 254):
         yield f"one pixel with value {value}", filled(_encoded(Image.fromarray(_with_pixel(mask, value)), "PNG"))
-    yield "with values 0 and 1", filled(_encoded(Image.fromarray(mask // 255), "PNG"))
-    yield "without a hand", filled(_encoded(Image.fromarray(np.zeros_like(mask)), "PNG"))
-    yield "with 16 bits", filled(_encoded(Image.fromarray(mask.astype(np.uint16) * 257), "PNG"))
     yield "with floats", filled(_encoded(Image.fromarray(mask).convert("F"), "TIFF"))
-    for mode in ("RGB", "RGBA", "LA"):
-        yield f"with mode {mode}", filled(_encoded(Image.fromarray(mask).convert(mode), "PNG"))
-    colored = Image.fromarray(mask).convert("RGB").quantize(4)
-    yield "with a palette", filled(_encoded(colored, "PNG"))
     noisy = np.clip(mask.astype(int) + np.random.default_rng(0).integers(-9, 9, mask.shape), 0, 255)
     yield "with noise", filled(_encoded(Image.fromarray(noisy.astype(np.uint8)), "PNG"))
     yield "rotated by exif", filled(_rotated(Image.fromarray(mask), "PNG", 3))
@@ -134,6 +127,15 @@ def _set_corruptions(image: str, mask: str) -> dict[str, Corruption]:
         for folder in ("images", "masks"):
             (given / folder / "more.png").mkdir()
 
+    def without_hands(given: pathlib.Path) -> None:
+        for path in sorted((given / "masks").iterdir()):
+            with Image.open(path) as opened:
+                rewrite(path, _encoded(Image.new("L", opened.size), "PNG"))
+
+    def two_unicode_forms(given: pathlib.Path) -> None:
+        for name in ("h\u00e4nd.png", "ha\u0308nd.png"):
+            (given / "images" / name).touch()
+
     def replaced_by_file(given: pathlib.Path) -> None:
         shutil.rmtree(given)
         given.write_text("hands")
@@ -147,6 +149,10 @@ def _set_corruptions(image: str, mask: str) -> dict[str, Corruption]:
         "no masks": edited("masks", lambda given: shutil.rmtree(given / "masks")),
         "no images": edited("images", lambda given: shutil.rmtree(given / "images")),
         "empty folders": edited("", emptied),
+        "masks without any hand": edited("masks", without_hands),
+        "two images with one name in two Unicode forms": edited("Unicode", two_unicode_forms),
+        "a name that is not UTF-8": edited("UTF-8", lambda given: (given / "images" / "h\udce4nd.png").touch()),
+        "options with another key": edited("set.json", lambda given: (given / "set.json").write_text('{"masks": 1}')),
         "a text file among the images": with_text("images/notes.txt"),
         "a text file among the masks": with_text("masks/notes.md"),
         "a program among the images": with_text("images/image.py"),

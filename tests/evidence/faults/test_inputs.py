@@ -3,15 +3,18 @@
 import pathlib
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from deltasafe.errors import DeltasafeError
-from evidence.faults.inputs import check_all, rejected_valid_inputs
+from evidence.faults import welcome
+from evidence.faults.inputs import check_all, named_hands, rejected_valid_inputs
 from evidence.faults.malformed.documents import document_changes
 from evidence.faults.malformed.files import at
 from evidence.faults.malformed.pictures import hand_cases, picture_cases
 from evidence.faults.malformed.scenes import copied_scene, scene_cases
 from evidence.faults.rejection import Case, InputKind, check_rejection
+from evidence.faults.welcome import wrong_welcomes
 from evidence.fixtures import temporary_home
 
 
@@ -26,6 +29,19 @@ def test_malformed_images_and_hand_sets_are_rejected(home: pathlib.Path) -> None
     assert len(cases) > 150
     assert rejected_valid_inputs(cases, home) == []
     assert [failure.text for failure in check_all(cases, home, seed=1)] == []
+
+
+def test_inputs_as_people_have_them_are_accepted(home: pathlib.Path) -> None:
+    n_welcome, wrong = wrong_welcomes(home, named_hands(home))
+    assert n_welcome > 40
+    assert wrong == []
+
+
+def test_welcome_inputs_with_other_pixels_are_detected(home: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(welcome, "read_rgb", lambda path: np.zeros((288, 384, 3), np.uint8))
+    hands = named_hands(home / "again")
+    wrong = wrong_welcomes(home / "again", hands)[1]
+    assert [text for text in wrong if "image: PNG: gives other pixels" in text]
 
 
 def test_malformed_scenes_are_rejected(home: pathlib.Path) -> None:
