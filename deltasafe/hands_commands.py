@@ -7,7 +7,7 @@ import pathlib
 
 def add_hands_commands(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add the commands about labeled images."""
-    from deltasafe.perception.data.importing.settings import FORMATS
+    from deltasafe.perception.data.importing.settings import FORMATS, RECTANGLES
 
     hands = commands.add_parser("hands", help="prepare labeled images").add_subparsers(required=True, metavar="ACTION")
     importing = hands.add_parser("import", help="convert the labels of other tools to a set of images and masks")
@@ -29,6 +29,7 @@ def add_hands_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
     add("--alpha", action="store_true", help="the alpha channel of the mask files is the mask")
     add("--inverted", action="store_true", help="the mask files mark the background")
     add("--large-masks", action="store_true", help="masks that cover most of an image are right")
+    add("--rectangles", choices=RECTANGLES, default="refuse", help="boxes of the obstacle (default: skip such images)")
     add("--keep-unlabeled", action="store_true", help="images without annotations show no obstacle, instead of skipped")
     add("--images", default="", metavar="NAME", help="folder of the images below the source (format folder)")
     add("--masks", default="", metavar="NAME", help="folder of the masks below the source (format folder)")

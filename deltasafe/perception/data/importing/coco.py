@@ -6,19 +6,19 @@ from collections import defaultdict
 from typing import Any
 
 from deltasafe.perception.data.importing.rasterize import polygons, run_lengths
+from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.importing.source import (
     Files,
     Mask,
     Shape,
     SourceImage,
-    image_size,
     label_errors,
+    shape_image,
     side_lengths,
-    union,
 )
 
 
-def coco_images(path: pathlib.Path, document: Any, files: Files) -> list[SourceImage]:
+def coco_images(path: pathlib.Path, document: Any, files: Files, settings: ImportSettings) -> list[SourceImage]:
     """Return the images of a COCO document. Instances may overlap; those of other classes hide nothing.
 
     Raises:
@@ -26,47 +26,31 @@ def coco_images(path: pathlib.Path, document: Any, files: Files) -> list[SourceI
     """
     with label_errors(path):
         names = {category["id"]: str(category["name"]) for category in document["categories"]}
-        annotations = defaultdict(list)
+        shapes = defaultdict(list)
         for annotation in document["annotations"]:
             if (category := annotation["category_id"]) not in names:
                 raise ValueError(f"annotation {annotation.get('id')} has the unknown category {category}")
-            annotations[annotation["image_id"]].append(annotation)
+            draw, is_box = functools.partial(_draw, annotation), not annotation.get("segmentation")
+            shapes[annotation["image_id"]].append(Shape(names[category], draw, is_box))
         listed = [image["id"] for image in document["images"]]
         if len(set(listed)) < len(listed):
             raise ValueError("two images have the same id")
-        if unknown := annotations.keys() - set(listed):
+        if unknown := shapes.keys() - set(listed):
             raise ValueError(f"annotations belong to the images {sorted(unknown, key=str)[:5]}, which are not listed")
-        near = _folders_near(path)
-        return [_image(record, annotations[record["id"]], names, files, near) for record in document["images"]]
+        images = []
+        for record in document["images"]:
+            name, found = str(record["file_name"]), shapes[record["id"]]
+            size = side_lengths(record) if record.get("height") and record.get("width") else None
+            file = files.find(name, *_folders_near(path))
+            images.append(shape_image(name, file, found, size, settings, paints=False, is_labeled=bool(found)))
+        return images
 
 
-def _image(
-    record: dict[str, Any], annotations: list[Any], names: dict[Any, str], files: Files, near: list[pathlib.Path]
-) -> SourceImage:
-    file = files.find(str(record["file_name"]), *near)
-    has_size = record.get("height") and record.get("width")
-    size = side_lengths(record) if has_size else None
-    labels = frozenset(names[annotation["category_id"]] for annotation in annotations)
-    mask = functools.partial(_mask, annotations, names, size, file)
-    return SourceImage(str(record["file_name"]), file, labels, mask, is_labeled=bool(annotations))
-
-
-def _mask(
-    annotations: list[Any],
-    names: dict[Any, str],
-    size: tuple[int, int] | None,
-    file: pathlib.Path | None,
-    classes: frozenset[str],
-) -> Mask:
-    height, width = size or image_size(file)
-    shapes = [Shape(names[one["category_id"]], functools.partial(_pixels, one, height, width)) for one in annotations]
-    return union(shapes, height, width, classes)
-
-
-def _pixels(annotation: dict[str, Any], height: int, width: int) -> Mask:
+def _draw(annotation: dict[str, Any], height: int, width: int) -> Mask:
     segmentation = annotation.get("segmentation")
     if not segmentation:
-        raise ValueError(f"annotation {annotation.get('id')} has no outline, only a box")
+        x, y, across, down = annotation["bbox"]
+        return polygons([[x, y, x + across, y, x + across, y + down, x, y + down]], height, width)
     if isinstance(segmentation, dict):
         return run_lengths(segmentation, height, width)
     return polygons([segmentation] if isinstance(segmentation[0], int | float) else segmentation, height, width)

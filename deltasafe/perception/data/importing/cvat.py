@@ -10,15 +10,8 @@ import numpy as np
 
 from deltasafe.errors import DataError
 from deltasafe.perception.data.importing.rasterize import ellipse, polygons, row_runs
-from deltasafe.perception.data.importing.source import (
-    BACKGROUND,
-    Files,
-    Mask,
-    Shape,
-    SourceImage,
-    label_errors,
-    painted,
-)
+from deltasafe.perception.data.importing.settings import ImportSettings
+from deltasafe.perception.data.importing.source import Files, Mask, Shape, SourceImage, label_errors, shape_image
 
 _AREAS = ("polygon", "mask", "box", "ellipse")
 _NO_AREAS = ("polyline", "points", "cuboid", "skeleton")
@@ -43,7 +36,9 @@ def parse_xml(path: pathlib.Path) -> ElementTree.Element:
         raise DataError(path, f"is not valid XML ({error}); export it again") from error
 
 
-def cvat_images(path: pathlib.Path, root: ElementTree.Element, files: Files) -> list[SourceImage]:
+def cvat_images(
+    path: pathlib.Path, root: ElementTree.Element, files: Files, settings: ImportSettings
+) -> list[SourceImage]:
     """Return the images of a document. Shapes are painted by their z order, as in CVAT's mask export.
 
     Raises:
@@ -52,24 +47,20 @@ def cvat_images(path: pathlib.Path, root: ElementTree.Element, files: Files) -> 
     if root.find("track") is not None:
         raise DataError(path, "is CVAT for video 1.1, which has no masks of single images; export CVAT for images 1.1")
     with label_errors(path):
-        return [_image(element, files, path.parent) for element in root.iter("image")]
+        return [_image(element, files, path.parent, settings) for element in root.iter("image")]
 
 
-def _image(element: ElementTree.Element, files: Files, folder: pathlib.Path) -> SourceImage:
-    name, height, width = element.attrib["name"], int(element.attrib["height"]), int(element.attrib["width"])
+def _image(element: ElementTree.Element, files: Files, folder: pathlib.Path, settings: ImportSettings) -> SourceImage:
+    name, size = element.attrib["name"], (int(element.attrib["height"]), int(element.attrib["width"]))
     areas = sorted((child for child in element if child.tag in _AREAS), key=lambda a: int(a.attrib.get("z_order", 0)))
     others = sum(child.tag in _NO_AREAS for child in element)
-    notes: tuple[str, ...] = (f"{others} lines or points left out",) if others else ()
-    if boxes := sum(area.tag == "box" for area in areas):
-        notes += (f"{boxes} rectangles filled",)
-    shapes = [Shape(area.attrib["label"], functools.partial(_pixels, area, height, width)) for area in areas]
-    classes = frozenset(shape.label for shape in shapes) - BACKGROUND
+    notes = (f"{others} lines or points left out",) if others else ()
+    shapes = [Shape(area.attrib["label"], functools.partial(_draw, area), area.tag == "box") for area in areas]
     image = files.find(name, folder, folder / "images")
-    mask = functools.partial(painted, shapes, height, width)
-    return SourceImage(name, image, classes, mask, is_labeled=len(element) > 0, notes=notes)
+    return shape_image(name, image, shapes, size, settings, paints=True, is_labeled=len(element) > 0, notes=notes)
 
 
-def _pixels(area: ElementTree.Element, height: int, width: int) -> Mask:
+def _draw(area: ElementTree.Element, height: int, width: int) -> Mask:
     values = area.attrib
     if area.tag == "polygon":
         points = [[float(x) for x in point.split(",")] for point in values["points"].split(";") if point.strip()]

@@ -65,7 +65,7 @@ def _read(
         elif form == "roboflow" and path.is_dir():
             images += roboflow_images(path, settings)
         else:
-            images += _DOCUMENTS["coco" if form == "roboflow" else form](path, document, files)
+            images += _DOCUMENTS["coco" if form == "roboflow" else form](path, document, files, settings)
     return images
 
 

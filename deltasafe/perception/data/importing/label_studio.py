@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from deltasafe.perception.data.importing.rasterize import brush_alpha, ellipse, polygons
+from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.importing.source import (
     Files,
     Mask,
@@ -17,15 +18,15 @@ from deltasafe.perception.data.importing.source import (
     SourceImage,
     label_errors,
     numbers,
+    shape_image,
     side_lengths,
-    union,
 )
 
 _AREAS = ("polygon", "brush", "magicwand", "rectangle", "ellipse")
 _IMAGE = re.compile(r"\.(jpe?g|png|webp|bmp|tiff?|hei[cf]|avif)$", re.IGNORECASE)
 
 
-def label_studio_images(path: pathlib.Path, tasks: Any, files: Files) -> list[SourceImage]:
+def label_studio_images(path: pathlib.Path, tasks: Any, files: Files, settings: ImportSettings) -> list[SourceImage]:
     """Return the images of an export. Regions may overlap; those of other labels hide nothing.
 
     Of several annotations of a task, the one marked as ground truth is used, else the newest.
@@ -34,10 +35,10 @@ def label_studio_images(path: pathlib.Path, tasks: Any, files: Files) -> list[So
         DataError: the export is malformed.
     """
     with label_errors(path):
-        return [_image(task, files, path.parent) for task in tasks]
+        return [_image(task, files, path.parent, settings) for task in tasks]
 
 
-def _image(task: dict[str, Any], files: Files, folder: pathlib.Path) -> SourceImage:
+def _image(task: dict[str, Any], files: Files, folder: pathlib.Path, settings: ImportSettings) -> SourceImage:
     reference = _reference(task["data"])
     name = reference.rsplit("/", 1)[-1]
     image = files.find(reference, folder) or files.find(re.sub(r"^[0-9a-f]{8}-", "", name), folder)
@@ -51,10 +52,20 @@ def _image(task: dict[str, Any], files: Files, folder: pathlib.Path) -> SourceIm
     areas = [(label, region) for label, region in regions if _kind(region) in _AREAS]
     if len(areas) < len(regions):
         notes += (f"{len(regions) - len(areas)} lines or points left out",)
-    if rectangles := sum(_kind(region) == "rectangle" for _, region in areas):
-        notes += (f"{rectangles} rectangles filled",)
-    classes = frozenset(label for label, _ in areas)
-    return SourceImage(name, image, classes, functools.partial(_mask, areas), bool(submitted), notes)
+    sizes = {side_lengths(region, "original_height", "original_width") for _, region in areas}
+    if len(sizes) > 1:
+        raise ValueError(f"the regions of {name} belong to images of several sizes")
+    shapes = [Shape(label, functools.partial(_draw, one), _kind(one) == "rectangle") for label, one in areas]
+    return shape_image(
+        name,
+        image,
+        shapes,
+        sizes.pop() if sizes else None,
+        settings,
+        paints=False,
+        is_labeled=bool(submitted),
+        notes=notes,
+    )
 
 
 def _reference(data: dict[str, Any]) -> str:
@@ -83,16 +94,7 @@ def _kind(result: dict[str, Any]) -> str:
     return str(result.get("type", "")).removesuffix("labels") or "labels"
 
 
-def _mask(areas: list[tuple[str, dict[str, Any]]], classes: frozenset[str]) -> Mask:
-    sizes = {side_lengths(region, "original_height", "original_width") for _, region in areas}
-    if len(sizes) != 1:
-        raise ValueError("no region gives the size of the image" if not sizes else f"regions of several sizes: {sizes}")
-    height, width = sizes.pop()
-    shapes = [Shape(label, functools.partial(_pixels, region, height, width)) for label, region in areas]
-    return union(shapes, height, width, classes)
-
-
-def _pixels(region: dict[str, Any], height: int, width: int) -> Mask:
+def _draw(region: dict[str, Any], height: int, width: int) -> Mask:
     if region.get("image_rotation"):
         raise ValueError(f"the image is turned by {region['image_rotation']} degrees in Label Studio; turn it back")
     value, scale = region["value"], np.array([width, height]) / 100

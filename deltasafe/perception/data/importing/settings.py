@@ -3,8 +3,10 @@
 import dataclasses
 
 from deltasafe.errors import SettingsError
+from deltasafe.setting_ranges import check_choice, check_range
 
 FORMATS = ("auto", "coco", "labelme", "cvat", "cvat-masks", "label-studio", "voc", "roboflow", "folder")
+RECTANGLES = ("refuse", "fill", "ignore")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,6 +21,8 @@ class ImportSettings:
         alpha: the alpha channel of the mask files is the mask.
         inverted: the mask files mark the background.
         large_masks: accept masks that cover most of the image or nearly its whole border.
+        rectangles: boxes around an object: ``refuse`` skips images that have one of the obstacle, ``fill`` takes them
+            as outlines, ``ignore`` uses the other outlines.
         keep_unlabeled: take images without any annotation as images without the obstacle, instead of skipping them.
         images, masks: folders of images and masks below the source, for the format ``folder``; empty searches them.
     """
@@ -29,14 +33,14 @@ class ImportSettings:
     alpha: bool = False
     inverted: bool = False
     large_masks: bool = False
+    rectangles: str = "refuse"
     keep_unlabeled: bool = False
     images: str = ""
     masks: str = ""
 
     def __post_init__(self) -> None:
-        if self.format not in FORMATS:
-            raise SettingsError(f"format must be one of {', '.join(FORMATS)}, got {self.format!r}")
-        if not 0 <= self.threshold <= 1:
-            raise SettingsError(f"threshold must lie in [0, 1], got {self.threshold}")
+        check_choice(self, FORMATS, "format")
+        check_choice(self, RECTANGLES, "rectangles")
+        check_range(self, "[0, 1]", "threshold")
         if self.threshold and self.classes:
             raise SettingsError("give either threshold or classes: a soft mask has a single class")

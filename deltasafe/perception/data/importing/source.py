@@ -5,7 +5,7 @@ import dataclasses
 import io
 import pathlib
 import unicodedata
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from PIL import Image
 
 from deltasafe.errors import DataError
 from deltasafe.io.storage import parse_json
+from deltasafe.perception.data.importing.settings import ImportSettings
 
 Mask = NDArray[np.bool_]
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif", ".avif")
@@ -61,27 +62,60 @@ class LabelSource:
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """A marked region: its label, and a function that returns its pixels ``(H, W)``."""
+    """A marked region.
+
+    Attributes:
+        label: its class.
+        draw: returns its pixels for a height and a width; a ValueError says why it has none.
+        is_rectangle: whether it is only a box around something.
+    """
 
     label: str
-    pixels: Callable[[], Mask]
+    draw: Callable[[int, int], Mask]
+    is_rectangle: bool = False
 
 
-def union(shapes: Iterable[Shape], height: int, width: int, classes: Collection[str]) -> Mask:
-    """Return the union of the shapes of some classes; others do not hide them."""
-    mask = np.zeros((height, width), bool)
-    for shape in shapes:
-        if shape.label in classes:
-            mask |= shape.pixels()
-    return mask
+def shape_image(
+    name: str,
+    image: pathlib.Path | bytes | None,
+    shapes: Sequence[Shape],
+    size: tuple[int, int] | None,
+    settings: ImportSettings,
+    *,
+    paints: bool,
+    is_labeled: bool,
+    notes: tuple[str, ...] = (),
+) -> SourceImage:
+    """Return an image whose label is a list of shapes.
 
+    Args:
+        name: of the image in the source.
+        image: the file or its bytes; None if it is missing.
+        shapes: in the order in which they are drawn.
+        size: height and width that the shapes refer to; None: that of the image file.
+        settings: say what rectangles mean.
+        paints: whether a shape hides those before it, also those of other classes; else shapes may overlap.
+        is_labeled: whether the source says what the image shows.
+        notes: for the table.
+    """
+    if settings.rectangles == "ignore":
+        shapes = [shape for shape in shapes if not shape.is_rectangle]
+    classes = frozenset(shape.label for shape in shapes) - BACKGROUND
+    fills = settings.rectangles == "fill"
 
-def painted(shapes: Iterable[Shape], height: int, width: int, classes: Collection[str]) -> Mask:
-    """Paint the shapes in their order, later ones over earlier ones; return the visible pixels of some classes."""
-    mask = np.zeros((height, width), bool)
-    for shape in shapes:
-        mask[shape.pixels()] = shape.label in classes
-    return mask
+    def mask(chosen: Collection[str]) -> Mask:
+        height, width = size or image_size(image)
+        marked = np.zeros((height, width), bool)
+        for shape in shapes:
+            is_chosen = shape.label in chosen
+            if shape.is_rectangle and not fills:
+                if is_chosen:
+                    raise ValueError(f"has a rectangle of {shape.label}; give --rectangles fill, or ignore")
+            elif is_chosen or paints:
+                marked[shape.draw(height, width)] = is_chosen
+        return marked
+
+    return SourceImage(name, image, classes, mask, is_labeled, notes)
 
 
 class Files:
