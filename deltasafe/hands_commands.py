@@ -31,8 +31,14 @@ def add_hands_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
     add("--large-masks", action="store_true", help="masks that cover most of an image are right")
     add("--rectangles", choices=RECTANGLES, default="refuse", help="boxes of the obstacle (default: skip such images)")
     add("--keep-unlabeled", action="store_true", help="images without annotations show no obstacle, instead of skipped")
-    add("--images", default="", metavar="NAME", help="folder of the images below the source (format folder)")
-    add("--masks", default="", metavar="NAME", help="folder of the masks below the source (format folder)")
+    add("--images", default="", metavar="FOLDER", help="folder of the images (default: searched below the source)")
+    add("--masks", default="", metavar="FOLDER", help="folder of the masks (format folder)")
+    add(
+        "--masks-drawn-on",
+        choices=("upright", "stored"),
+        default="",
+        help="of photographs with an EXIF orientation: the picture as viewers show it, or the stored pixels",
+    )
 
 
 def _import_hands(options: argparse.Namespace) -> None:

@@ -14,8 +14,8 @@ from deltasafe.io.checksum_list import listed_name, read_registry
 from deltasafe.io.folder_entries import IMAGE_SUFFIXES, FolderEntries, require_utf8_name
 from deltasafe.io.images import read_image
 from deltasafe.io.storage import digest_of, sha256_of_file
-from deltasafe.perception.data.labeled_pair import SetOptions, aligned_mask, scaled_mask
-from deltasafe.perception.data.masks import read_mask
+from deltasafe.perception.data.labeled_pair import OPTIONS_FILE, SetOptions, aligned_mask, scaled_mask
+from deltasafe.perception.data.masks import polarity_defect, read_marked
 
 T = TypeVar("T")
 
@@ -27,13 +27,18 @@ class LabeledImage:
     Attributes:
         id: the common stem of both files, in the Unicode form NFC.
         image, mask: the files.
-        shows_hand: whether the mask marks a hand.
+        mark: gray value or color of the hand in the mask; empty if the mask marks none.
     """
 
     id: str
     image: pathlib.Path
     mask: pathlib.Path
-    shows_hand: bool = True
+    mark: str = "255"
+
+    @property
+    def shows_hand(self) -> bool:
+        """Whether the mask marks a hand."""
+        return bool(self.mark)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,8 +64,9 @@ class LabeledImageSet:
         """Read and check the set in ``folder``: files in ``images/`` and ``masks/`` with equal stems.
 
         Args:
-            folder: the set. Images have any size and any format of `read_image`. Masks have one channel and the size
-                of their image; 255 marks the hand, 0 everything else. Some images may show no hand.
+            folder: the set. Images have any size and any format of `read_image`. Masks have the size of their image;
+                0 or black is everything else, and one value or color, the same in all masks, is the hand. Some images
+                may show no hand.
             registry: a file of SHA-256 digests in the format of ``sha256sum``, with paths relative to its folder.
                 Every file of the set is compared with it.
 
@@ -84,10 +90,12 @@ class LabeledImageSet:
             defects += _unregistered(items, pathlib.Path(registry))
         read, pixel_digests, contents = [], [], []
         for item in items:
-            if (pair := _read_or_note(item, options, defects)) is not None:
-                pixel_digests.append(_pixel_digest(pair[0]))
-                contents.append((item.id, pixel_digests[-1], _pixel_digest(pair[1])))
-                read.append(dataclasses.replace(item, shows_hand=bool(pair[1].any())))
+            if (found := _read_or_note(item, options, defects)) is not None:
+                rgb, mask, mark = found
+                pixel_digests.append(_pixel_digest(rgb))
+                contents.append((item.id, pixel_digests[-1], _pixel_digest(mask)))
+                read.append(dataclasses.replace(item, mark=mark))
+        defects += _different_marks(folder / "masks", read)
         if read and not any(item.shows_hand for item in read):
             defects.append(DataError(folder / "masks", "mark no hand in any image (255 = hand); label the images"))
         if defects:
@@ -119,7 +127,7 @@ class LabeledImageSet:
         Raises:
             DataError: a file is missing or defective.
         """
-        return _read(self.items[i], self.options, max_pixels)
+        return read_labeled(self.items[i], self.options, max_pixels)
 
 
 def check_disjoint(train: LabeledImageSet, test: LabeledImageSet, role: str = "training") -> None:
@@ -198,29 +206,51 @@ def _files_by_stem(folder: pathlib.Path, defects: list[DataError]) -> dict[str, 
     return files
 
 
-def _read(item: LabeledImage, options: SetOptions, max_pixels: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+def read_labeled(
+    item: LabeledImage, options: SetOptions, max_pixels: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Read an image and its mask, see `LabeledImageSet.read`."""
     defects: list[DataError] = []
-    pair = _read_or_note(item, options, defects, max_pixels)
-    if pair is None:
+    found = _read_or_note(item, options, defects, max_pixels)
+    if found is None:
         raise DataError.combined(item.image, defects)
-    return pair
+    return found[:2]
 
 
 def _read_or_note(
     item: LabeledImage, options: SetOptions, defects: list[DataError], max_pixels: int | None = None
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Read image and mask (1 = hand); if they are defective, append the defects to ``defects`` and return None."""
+) -> tuple[np.ndarray, np.ndarray, str] | None:
+    """Read image, mask (1 = hand) and its mark; if they are defective, append the defects and return None."""
     image = read_or_none(lambda path: read_image(path, max_pixels), item.image, defects)
-    mask = read_or_none(lambda path: read_mask(path, may_be_empty=True), item.mask, defects)
-    if image is None or mask is None:
+    marked = read_or_none(read_marked, item.mask, defects)
+    if image is None or marked is None:
         return None
+    mask, mark = marked
     try:
         mask = aligned_mask(image, mask, options, (item.image, item.mask)) // 255
     except DataError as error:
         defects.append(error)
         return None
+    if not options.large_masks and (doubt := polarity_defect(mask)):
+        confirm = f'write {{"large_masks": true}} into {item.mask.parents[1] / OPTIONS_FILE} if it is right'
+        invert = "convert the set by `deltasafe hands import SET NEW_SET --inverted` if it is"
+        defects.append(DataError(item.mask, f"{doubt} {confirm}, or {invert}"))
+        return None
     size = (image.rgb.shape[1], image.rgb.shape[0])
-    return image.rgb, mask if size == image.size else scaled_mask(mask, size)
+    return image.rgb, mask if size == image.size else scaled_mask(mask, size), mark
+
+
+def _different_marks(folder: pathlib.Path, items: list[LabeledImage]) -> list[DataError]:
+    """Refuse masks that mark with different values: they are classes, of which each mask shows one."""
+    example = {item.mark: item.mask.name for item in reversed(items) if item.mark}
+    if len(example) < 2:
+        return []
+    found = ", ".join(f"{mark} ({name})" for mark, name in sorted(example.items())[:8])
+    options = " ".join(f"--class '{mark}'" for mark in sorted(example)[:8])
+    convert = f"convert the set by `deltasafe hands import SET NEW_SET {options}`, without those that are no obstacle"
+    return [
+        DataError(folder, f"mark with {len(example)} values or colors, perhaps of several classes: {found}; {convert}")
+    ]
 
 
 def _unregistered(items: tuple[LabeledImage, ...], registry: pathlib.Path) -> list[DataError]:

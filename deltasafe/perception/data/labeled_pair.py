@@ -22,9 +22,11 @@ class SetOptions:
     Attributes:
         masks_drawn_on: for photographs with an EXIF orientation: ``upright`` if the masks fit the picture as viewers
             show it, ``stored`` if they fit the stored pixels. Empty: the size of the mask decides, where it can.
+        large_masks: masks that cover most of their image are right, and not inverted.
     """
 
     masks_drawn_on: str = ""
+    large_masks: bool = False
 
     @classmethod
     def load(cls, folder: pathlib.Path) -> "SetOptions":
@@ -36,9 +38,9 @@ class SetOptions:
         path = folder / OPTIONS_FILE
         if not path.exists():
             return cls()
-        found = read_json(path)
-        if not isinstance(found, dict) or set(found) != {"masks_drawn_on"} or found["masks_drawn_on"] not in DRAWN_ON:
-            raise DataError(path, f'must hold {{"masks_drawn_on": ...}} with one of {DRAWN_ON}, got {found!r:.80}')
+        found, known = read_json(path), {"masks_drawn_on": ("", *DRAWN_ON), "large_masks": (False, True)}
+        if not isinstance(found, dict) or any(value not in known.get(key, ()) for key, value in found.items()):
+            raise DataError(path, f"must hold only the keys and values of {known}, got {found!r:.80}")
         return cls(**found)
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import pathlib
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ ANY_CLASS = "*"
 MAX_AREA, MAX_BORDER = 0.5, 0.9
 _MAX_NAMED = 8
 Pixels = NDArray[np.uint8]
-Codes = NDArray[np.uint32]
+Codes = NDArray[np.unsignedinteger[Any]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,6 +125,18 @@ def read_mask(path: str | pathlib.Path, may_be_empty: bool = False) -> Pixels:
         DataError: the file is unreadable, or its meaning is ambiguous; the message names the option that decides. Or
             it marks no hand, unless it ``may_be_empty``.
     """
+    mask, mark = read_marked(path)
+    if not mark and not may_be_empty:
+        raise DataError(path, "marks no hand (every pixel is 0); label the image, or remove it from the set")
+    return mask
+
+
+def read_marked(path: str | pathlib.Path) -> tuple[Pixels, str]:
+    """Read a mask of one class as `read_mask` does, and the gray value or color of the hand; empty if there is none.
+
+    Raises:
+        DataError: see `read_mask`.
+    """
     plane = read_mask_plane(path)
     if len(plane.classes) > 1:
         kind = "gray values" if plane.full_scale else "colors"
@@ -131,9 +144,7 @@ def read_mask(path: str | pathlib.Path, may_be_empty: bool = False) -> Pixels:
         options += ", or --threshold 0.5 if they are shades" if len(plane.classes) > 2 else ""
         found = f"has {len(plane.classes)} {kind} besides black ({plane.listed()})"
         raise DataError(path, f"{found}; convert the set by `deltasafe hands import SET NEW_SET` with {options}")
-    if not plane.classes and not may_be_empty:
-        raise DataError(path, "marks no hand (every pixel is 0); label the image, or remove it from the set")
-    return plane.select([ANY_CLASS]).astype(np.uint8) * 255
+    return plane.select([ANY_CLASS]).astype(np.uint8) * 255, next(iter(plane.classes), "")
 
 
 def polarity_defect(mask: NDArray[np.generic]) -> str | None:
@@ -155,39 +166,41 @@ def _opened(path: pathlib.Path) -> Image.Image:
 def _gray(path: pathlib.Path, image: Image.Image) -> tuple[Codes, int]:
     pixels = np.asarray(image)
     if pixels.dtype == bool:
-        return pixels.astype(np.uint32) * 255, 255
+        return pixels.astype(np.uint8) * np.uint8(255), 255
     if pixels.dtype == np.uint8:
-        return pixels.astype(np.uint32), 255
+        return pixels, 255
     if pixels.dtype.kind == "f":
         if not (np.isfinite(pixels).all() and pixels.min() >= 0 and pixels.max() <= 1):
             raise DataError(path, "has floats outside [0, 1]; save the mask as PNG with 8 or 16 bits")
-        return np.round(pixels * 65535).astype(np.uint32), 65535
+        pixels = np.round(pixels * 65535).astype(np.int64)
     if pixels.min() < 0 or pixels.max() > 65535:
         raise DataError(path, "has values outside 16 bits; save the mask as PNG with 8 or 16 bits")
-    return pixels.astype(np.uint32), 65535
+    codes = pixels.astype(np.uint16)
+    if (codes % 257).any():
+        return codes, 65535
+    return (codes // 257).astype(np.uint8), 255  # 8 bits that a tool has widened
 
 
 def _colors(image: Image.Image, alpha: bool) -> tuple[Codes, int]:
-    pixels = np.asarray(image.convert("RGB" if image.mode in ("P", "RGB") else "RGBA")).astype(np.uint32)
-    packed = _packed(pixels)
+    pixels = np.asarray(image.convert("RGB" if image.mode in ("P", "RGB") else "RGBA"))
     if image.mode == "P":
-        indices = np.asarray(image).astype(np.uint32)
-        is_distinct = len(np.unique(packed)) == len(np.unique(indices))  # else only the index tells classes apart
-        return _as_gray(packed) if is_distinct else (indices, 255)
+        indices, (codes, full_scale) = np.asarray(image), _packed(pixels)
+        is_distinct = len(np.unique(codes)) == len(np.unique(indices))  # else only the index tells classes apart
+        return (codes, full_scale) if is_distinct else (indices, 255)
     if pixels.shape[2] == 3:
-        return _as_gray(packed)
+        return _packed(pixels)
     opacity = pixels[..., 3]
     is_opaque = opacity.min() == opacity.max()
-    if alpha or (not is_opaque and len(np.unique(packed[opacity > 0])) == 1):
+    if alpha or (not is_opaque and len(np.unique(_packed(pixels)[0][opacity > 0])) == 1):
         return opacity, 255
-    return _as_gray(packed if is_opaque else _packed(pixels[..., :3] * opacity[..., None] // 255))
+    visible = pixels[..., :3] if is_opaque else (pixels[..., :3] * (opacity[..., None] / 255)).astype(np.uint8)
+    return _packed(visible)
 
 
-def _packed(pixels: Codes) -> Codes:
-    return np.asarray(pixels[..., 0] << 16 | pixels[..., 1] << 8 | pixels[..., 2], np.uint32)
-
-
-def _as_gray(packed: Codes) -> tuple[Codes, int]:
-    """Return gray values if all channels are equal, else the colors."""
-    low = np.asarray(packed & 255, np.uint32)
-    return (low, 255) if (packed == low * 0x010101).all() else (packed, 0)
+def _packed(pixels: Pixels) -> tuple[Codes, int]:
+    """Return gray values if the channels red, green and blue are equal, else colors as ``0xRRGGBB``; and full scale."""
+    red, green, blue = (pixels[..., channel] for channel in range(3))
+    if np.array_equal(red, green) and np.array_equal(green, blue):
+        return red, 255
+    packed = red.astype(np.uint32) << 16 | green.astype(np.uint32) << 8 | blue
+    return packed.astype(np.uint32, copy=False), 0

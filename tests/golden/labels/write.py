@@ -2,7 +2,7 @@
 
 Needs two environments, whose packages conflict: ``pip install datumaro==1.13.12``, then
 ``pip install labelme==6.3.1 label-studio-sdk==2.1.2 supervision==0.31.2``. Run ``python write.py datumaro``, then
-``python write.py others``. The export of Roboflow's masks runs on its servers alone: that one follows its documentation.
+``python write.py others``. Roboflow exports masks on its servers alone: the test writes them by its documentation.
 """
 
 import json
@@ -18,8 +18,8 @@ import numpy as np
 from PIL import Image
 
 HERE = pathlib.Path(__file__).parent
-HAND = [[3.2, 4.1, 20.7, 3.3, 22.4, 17.9, 9.1, 20.2], [28, 5, 36.5, 6.5, 33, 14]]
-CUP = [24.3, 20.1, 38.9, 21.0, 37.2, 28.8, 25, 27]
+HAND = [[3.24, 4.17, 20.68, 3.36, 22.44, 17.82, 9.15, 20.23], [28.04, 5.12, 36.46, 6.57, 33.02, 14.08]]
+CUP = [24.34, 20.14, 38.86, 21.03, 37.25, 28.77, 25.06, 27.02]
 SIZES = {"one hand": (30, 40), "Hände 2": (24, 32), "cup only": (24, 32), "nothing": (24, 32)}
 
 
@@ -199,9 +199,10 @@ def _write_label_studio() -> None:
                 alpha = brush.decode_rle(stroke[0]["value"]["rle"]).reshape(*mask.shape, 4)[..., 3]
                 _save("label-studio", alpha > 0, "Hände 2")
     (folder / "tasks.json").write_text(json.dumps(tasks))
-    config = """<View><Image name="image" value="$image"/><PolygonLabels name="tagpolygons" toName="image"><Label value="hand"/>
-        <Label value="cup"/></PolygonLabels><BrushLabels name="brush" toName="image"><Label value="hand"/><Label value="cup"/>
-        </BrushLabels></View>"""
+    labels = '<Label value="hand"/><Label value="cup"/>'
+    config = f"""<View><Image name="image" value="$image"/>
+        <PolygonLabels name="tagpolygons" toName="image">{labels}</PolygonLabels>
+        <BrushLabels name="brush" toName="image">{labels}</BrushLabels></View>"""
     Converter(config, str(work), download_resources=False).convert_to_coco(
         str(folder / "tasks.json"), str(work / "out"), is_dir=False
     )

@@ -46,11 +46,16 @@ def read_source(source: pathlib.Path, settings: ImportSettings) -> LabelSource:
     if form != "folder" and not labels:
         raise DataError(source, f"holds no labels of the format {form}; give another --format, or another folder")
     root = source if source.is_dir() else _root(source)
-    images = _read(form, labels, Files(root), root, settings)
-    used = {image.image for image in images}
-    if form not in ("folder", "roboflow", "voc", "cvat-masks"):
-        images += [unlabeled(path) for path in Files(root).all() if path not in used]
-    return LabelSource(form, tuple(images))
+    files = Files(root if form == "folder" else root / settings.images)
+    images = _read(form, labels, files, root, settings)
+    has_mask_files = form in ("folder", "voc", "cvat-masks") or (form == "roboflow" and labels[0][1] is None)
+    if not has_mask_files:
+        for option in ("threshold", "alpha", "inverted"):
+            if getattr(settings, option):
+                raise DataError(source, f"has outlines of the format {form} and no mask files; remove --{option}")
+        used = {image.image for image in images}
+        images += [unlabeled(path) for path in files.all() if path not in used]
+    return LabelSource(form, tuple(images), has_mask_files)
 
 
 def _read(

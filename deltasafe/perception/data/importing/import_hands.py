@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 
 from deltasafe.errors import DataError
-from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.perception.data.importing.formats import read_source
+from deltasafe.perception.data.importing.mask_sheets import write_mask_sheets
 from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.importing.source import LabelSource, SourceImage
-from deltasafe.perception.data.labeled_images import LabeledImageSet
-from deltasafe.perception.data.labeled_images_figure import labeled_images_figure
+from deltasafe.perception.data.labeled_images import LabeledImage, LabeledImageSet, read_labeled
+from deltasafe.perception.data.labeled_pair import OPTIONS_FILE, SetOptions
 from deltasafe.perception.data.masks import ANY_CLASS, polarity_defect
 from deltasafe.reporting.markdown import table
 
@@ -105,16 +105,19 @@ def import_hands(
     labels = read_source(source, settings)
     classes = _chosen_classes(source, labels, settings)
     _check_polarity(source, labels, classes, settings)
+    drawn_on = settings.masks_drawn_on or ("" if labels.has_mask_files else "upright")
+    # outlines and named classes cannot be inverted, and plain masks are checked above
+    options = SetOptions(drawn_on, large_masks=True)
     with atomic_folder(folder) as temporary:
-        images = _convert(labels, classes, settings, temporary)
+        images = _convert(labels, classes, settings, options, temporary)
         report = ImportReport(folder, labels.format, tuple(classes), images)
-        if len(report.skipped) == len(images):
-            raise DataError(source, f"holds nothing to convert: {_reasons(images)}; label images, give other options")
-        hands = LabeledImageSet.load(temporary)
-        (temporary / ImportReport.SHEET).write_bytes(labeled_images_figure(hands, n_images=len(hands), columns=6))
-        (temporary / ImportReport.TABLE).write_text(report.text(), encoding="utf-8")
+        if not any(image.marked for image in images):
+            raise DataError(source, f"marks no obstacle that can be converted: {_reasons(images)}; label images")
+        write_json(temporary / OPTIONS_FILE, options)
+        write_mask_sheets(LabeledImageSet.load(temporary), temporary / report.SHEET)
+        (temporary / report.TABLE).write_text(report.text(), encoding="utf-8")
         record = {"format": labels.format, "settings": settings, "classes": classes, "images": images}
-        write_json(temporary / ImportReport.RECORD, record)
+        write_json(temporary / report.RECORD, record)
     return report
 
 
@@ -157,46 +160,48 @@ def _check_polarity(source: pathlib.Path, labels: LabelSource, classes: list[str
 
 
 def _convert(
-    labels: LabelSource, classes: list[str], settings: ImportSettings, folder: pathlib.Path
+    labels: LabelSource, classes: list[str], settings: ImportSettings, options: SetOptions, folder: pathlib.Path
 ) -> tuple[ImportedImage, ...]:
     for name in ("images", "masks"):
         (folder / name).mkdir()
     converted = []
     for image, stem in zip(labels.images, _stems(labels.images), strict=True):
+        suffix = image.image.suffix.lower() if isinstance(image.image, pathlib.Path) else ".png"
+        item = LabeledImage(stem, folder / "images" / f"{stem}{suffix}", folder / "masks" / f"{stem}.png")
+        if reason := _reason_to_skip(image, settings):
+            converted.append(ImportedImage(image.name, reason=reason))
+            continue
         try:
-            converted.append(_convert_image(image, stem, classes, settings, folder))
-        except DataError as error:
-            converted.append(ImportedImage(image.name, reason=error.reason))
-        except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:  # a malformed region
-            converted.append(ImportedImage(image.name, reason=" ".join(str(error).split())[:200]))
+            marked = _convert_image(image, item, classes, options)
+            converted.append(ImportedImage(image.name, stem, marked, "; ".join(image.notes)))
+        except (KeyError, IndexError, TypeError, ValueError, AttributeError, OSError) as error:  # a malformed region
+            item.image.unlink(missing_ok=True)
+            item.mask.unlink(missing_ok=True)
+            reason = error.reason if isinstance(error, DataError) else f"has a malformed label ({error})"
+            if "masks_drawn_on" in reason:
+                reason = "has an EXIF orientation; give --masks-drawn-on upright, or stored"
+            converted.append(ImportedImage(image.name, reason=" ".join(reason.split())[:300]))
     return tuple(converted)
 
 
-def _convert_image(
-    image: SourceImage, stem: str, classes: Collection[str], settings: ImportSettings, folder: pathlib.Path
-) -> ImportedImage:
+def _reason_to_skip(image: SourceImage, settings: ImportSettings) -> str:
     if image.image is None:
-        return ImportedImage(image.name, reason="the image is missing; put it below the source")
+        return "the image is missing; put it below the source, or give its folder by --images"
     if not image.is_labeled and not settings.keep_unlabeled:
-        return ImportedImage(image.name, reason="has no annotation; --keep-unlabeled takes it as free of the obstacle")
-    suffix = image.image.suffix.lower() if isinstance(image.image, pathlib.Path) else ".png"
-    copy, mask_file = folder / "images" / f"{stem}{suffix}", folder / "masks" / f"{stem}.png"
-    if isinstance(image.image, bytes):
-        copy.write_bytes(image.image)
+        return "has no annotation; --keep-unlabeled takes it as free of the obstacle"
+    return ""
+
+
+def _convert_image(image: SourceImage, item: LabeledImage, classes: Collection[str], options: SetOptions) -> float:
+    """Write image and mask, and read them as a set is read; return the fraction that is marked."""
+    mask = image.mask(classes)
+    if isinstance(image.image, pathlib.Path):
+        shutil.copyfile(image.image, item.image)
     else:
-        shutil.copyfile(image.image, copy)
-    try:
-        shape = read_rgb(copy).shape[:2]
-        has_mask = settings.threshold or settings.inverted or image.classes & set(classes) or "void" in classes
-        mask = np.asarray(image.mask(classes)) if has_mask else np.zeros(shape, bool)
-        if mask.shape != shape:
-            sizes = f"{mask.shape[1]} x {mask.shape[0]}, its image {shape[1]} x {shape[0]}"
-            raise ValueError(f"the label is for {sizes}; label the image of this size")
-    except Exception:
-        copy.unlink()
-        raise
-    mask_file.write_bytes(cv2.imencode(".png", mask.astype(np.uint8) * 255)[1].tobytes())
-    return ImportedImage(image.name, stem, float(mask.mean()), "; ".join(image.notes))
+        item.image.write_bytes(image.image or b"")
+    item.mask.write_bytes(cv2.imencode(".png", mask.astype(np.uint8) * 255)[1].tobytes())
+    read_labeled(item, options)
+    return float(mask.mean())
 
 
 def _stems(images: Sequence[SourceImage]) -> list[str]:

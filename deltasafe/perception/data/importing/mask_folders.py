@@ -10,8 +10,9 @@ from collections.abc import Collection, Iterable, Mapping
 import numpy as np
 
 from deltasafe.errors import DataError
+from deltasafe.io.folder_entries import IMAGE_SUFFIXES, FolderEntries
 from deltasafe.perception.data.importing.settings import ImportSettings
-from deltasafe.perception.data.importing.source import BACKGROUND, IMAGE_SUFFIXES, Files, Mask, SourceImage
+from deltasafe.perception.data.importing.source import BACKGROUND, Files, Mask, SourceImage, image_size
 from deltasafe.perception.data.masks import MaskPlane, read_mask_plane
 
 VOC_MASKS = "SegmentationClass"
@@ -77,10 +78,10 @@ def folder_images(root: pathlib.Path, settings: ImportSettings) -> list[SourceIm
     images: list[SourceImage] = []
     for image_folder, mask_folder in folder_pairs(root, settings):
         by_stem: dict[str, pathlib.Path] = {}
-        for path in _pictures(image_folder):
+        for path in FolderEntries.of(image_folder).images:
             if image_folder != mask_folder or not _is_mask(path):
                 by_stem[path.stem] = path
-        for path in _pictures(mask_folder):
+        for path in FolderEntries.of(mask_folder).images:
             if image_folder == mask_folder and not _is_mask(path):
                 continue
             image = by_stem.pop(path.stem, None) or by_stem.pop(_MASK_NAME.sub("", path.stem), None)
@@ -108,7 +109,7 @@ def folder_pairs(root: pathlib.Path, settings: ImportSettings) -> list[tuple[pat
         mask_folders = [inside[name] for name in MASK_FOLDERS if name in inside]
         if image_folders and mask_folders:
             pairs.append((image_folders[0], mask_folders[0]))
-        elif any(_is_mask(path) for path in _pictures(folder)):
+        elif any(_is_mask(path) for path in FolderEntries.of(folder).images):
             pairs.append((folder, folder))
     if not pairs:
         raise DataError(
@@ -120,7 +121,7 @@ def folder_pairs(root: pathlib.Path, settings: ImportSettings) -> list[tuple[pat
 
 def unlabeled(image: pathlib.Path) -> SourceImage:
     """Return an image that the source says nothing about."""
-    return SourceImage(image.name, image, frozenset(), _no_mask, is_labeled=False)
+    return SourceImage(image.name, image, frozenset(), lambda _: np.zeros(image_size(image), bool), is_labeled=False)
 
 
 def _mask_image(
@@ -131,10 +132,13 @@ def _mask_image(
     values: Mapping[int, str] | None = None,
 ) -> SourceImage:
     plane = functools.partial(_plane, mask, settings.alpha, colors, values)
-    counts = plane().classes
+    name = image.name if image else mask.name
+    try:
+        counts = plane().classes
+    except DataError:  # the mask is skipped with this error when it is read again
+        counts = {}
     notes = (f"{counts['void']} void pixels",) if "void" in counts else ()
     select = functools.partial(_select, plane, settings)
-    name = image.name if image else mask.name
     return SourceImage(name, image, frozenset(counts) - {"void"}, select, notes=notes)
 
 
@@ -143,7 +147,7 @@ def _plane(
 ) -> MaskPlane:
     """Read a mask so that code 0 is the background, whatever its color."""
     plane = read_mask_plane(path, alpha, colors, values)
-    codes, names = plane.codes.copy(), dict(plane.names)
+    codes, names = plane.codes.astype(np.uint32), dict(plane.names)
     if names.get(0, "background").lower() not in BACKGROUND:
         codes[plane.codes == 0] = _BLACK_CLASS
         names[_BLACK_CLASS] = names.pop(0)
@@ -155,18 +159,6 @@ def _plane(
 def _select(plane: "functools.partial[MaskPlane]", settings: ImportSettings, classes: Collection[str]) -> Mask:
     mask = plane().above(settings.threshold) if settings.threshold else plane().select(classes)
     return ~mask if settings.inverted else mask
-
-
-def _no_mask(classes: Collection[str]) -> Mask:
-    raise ValueError("the image has no label")
-
-
-def _pictures(folder: pathlib.Path) -> list[pathlib.Path]:
-    return sorted(
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
-    )
 
 
 def _is_mask(path: pathlib.Path) -> bool:

@@ -32,7 +32,8 @@ def polygons(outlines: Sequence[Any], height: int, width: int) -> Mask:
         flat.append(points.ravel().tolist())
     if not flat:
         raise ValueError("there is no outline")
-    return np.asarray(coco_mask.decode(coco_mask.merge(coco_mask.frPyObjects(flat, height, width))), bool)
+    packed = coco_mask.merge(coco_mask.frPyObjects(flat, height, width))["counts"]
+    return _runs(_unpacked(packed), height * width).reshape(width, height).T
 
 
 def outlined(kind: str, points: Any, height: int, width: int) -> Mask:
@@ -76,11 +77,9 @@ def run_lengths(record: Mapping[str, Any], height: int, width: int) -> Mask:
     """
     if list(record["size"]) != [height, width]:
         raise ValueError(f"the run lengths are for {record['size'][1]} x {record['size'][0]}, not {width} x {height}")
-    if isinstance(record["counts"], str):
-        from pycocotools import mask as coco_mask
-
-        return np.asarray(coco_mask.decode({"size": [height, width], "counts": record["counts"].encode()}), bool)
-    return _runs(record["counts"], height * width).reshape(width, height).T
+    counts = record["counts"]
+    lengths = _unpacked(counts.encode()) if isinstance(counts, str) else counts
+    return _runs(lengths, height * width).reshape(width, height).T
 
 
 def row_runs(counts: Sequence[int], box: tuple[int, int, int, int], height: int, width: int) -> Mask:
@@ -136,6 +135,25 @@ def brush_alpha(data: Sequence[int], height: int, width: int) -> NDArray[np.uint
             values[done:end] = np.packbits(bits[start:position])
         done = end
     return values.reshape(height, width, 4)[..., 3]
+
+
+def _unpacked(data: bytes) -> list[int]:
+    """Decode COCO's compressed run lengths; its own decoder cannot make an array without a copy, as numpy 2 wants.
+
+    Format: characters from "0", each with five bits of a signed number (the least significant first) and a bit that
+    says whether more follow; from the fourth run on, the difference to the last but one run.
+    """
+    lengths: list[int] = []
+    value = n_bits = 0
+    for character in data:
+        bits = character - ord("0")
+        value |= (bits & 31) << n_bits
+        n_bits += 5
+        if not bits & 32:
+            value -= (bits >> 4 & 1) << n_bits
+            lengths.append(value + (lengths[-2] if len(lengths) > 2 else 0))
+            value = n_bits = 0
+    return lengths
 
 
 def _runs(counts: Sequence[int], total: int) -> Mask:

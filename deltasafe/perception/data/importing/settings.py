@@ -24,7 +24,11 @@ class ImportSettings:
         rectangles: boxes around an object: ``refuse`` skips images that have one of the obstacle, ``fill`` takes them
             as outlines, ``ignore`` uses the other outlines.
         keep_unlabeled: take images without any annotation as images without the obstacle, instead of skipping them.
-        images, masks: folders of images and masks below the source, for the format ``folder``; empty searches them.
+        images: folder of the images, absolute or relative to the source; empty: they are searched below the source.
+        masks: the same for the masks, in the format ``folder``.
+        masks_drawn_on: for photographs with an EXIF orientation: ``upright`` if the labels fit the picture as viewers
+            show it, ``stored`` if they fit the stored pixels. Empty: ``upright`` for outlines, which tools draw on the
+            upright picture; for mask files, what their size says.
     """
 
     format: str = "auto"
@@ -37,10 +41,12 @@ class ImportSettings:
     keep_unlabeled: bool = False
     images: str = ""
     masks: str = ""
+    masks_drawn_on: str = ""
 
     def __post_init__(self) -> None:
         check_choice(self, FORMATS, "format")
         check_choice(self, RECTANGLES, "rectangles")
+        check_choice(self, ("", "upright", "stored"), "masks_drawn_on")
         check_range(self, "[0, 1]", "threshold")
         if self.threshold and self.classes:
             raise SettingsError("give either threshold or classes: a soft mask has a single class")

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from deltasafe.errors import DataError
+from deltasafe.io.folder_entries import IMAGE_SUFFIXES, is_clutter
+from deltasafe.io.images import decode_image
 from deltasafe.io.storage import parse_json
 from deltasafe.perception.data.importing.settings import ImportSettings
 
 Mask = NDArray[np.bool_]
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif", ".avif")
 BACKGROUND = frozenset({"_background_", "background", "__ignore__"})
 """Labels that mark the background: a shape with one of them is painted over others, and is no class."""
 
@@ -52,12 +53,12 @@ class LabelSource:
     Attributes:
         format: that was read.
         images: in the order of the source.
-        skipped: files that are not images with labels, with the reason.
+        has_mask_files: whether the labels are mask files, and not outlines.
     """
 
     format: str
     images: tuple[SourceImage, ...]
-    skipped: tuple[tuple[str, str], ...] = ()
+    has_mask_files: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,8 +126,8 @@ class Files:
         self.root = root
         self._by_name: dict[str, list[pathlib.Path]] = {}
         for path in sorted(root.rglob("*")):
-            hidden = any(part.startswith(".") for part in path.relative_to(root).parts)
-            if path.suffix.lower() in IMAGE_SUFFIXES and not hidden and path.is_file():
+            is_image = path.suffix.lower() in IMAGE_SUFFIXES and not is_clutter(*path.relative_to(root).parts)
+            if is_image and path.is_file():
                 self._by_name.setdefault(_normal(path.name), []).append(path)
 
     def all(self) -> list[pathlib.Path]:
@@ -177,18 +178,22 @@ def label_errors(path: pathlib.Path) -> Iterator[None]:
 
 
 def image_size(image: pathlib.Path | bytes | None) -> tuple[int, int]:
-    """Return height and width of an image file, without decoding it.
+    """Return height and width of an image, upright.
 
     Raises:
-        ValueError: it is missing, or is not an image.
+        DataError: the file cannot be read.
+        ValueError: the image is missing, or its bytes cannot be read.
     """
+    if isinstance(image, pathlib.Path):
+        width, height = decode_image(image).size
+        return height, width
     if image is None:
         raise ValueError("the image is missing, and the label file does not give its size")
     try:
-        with Image.open(io.BytesIO(image) if isinstance(image, bytes) else image) as opened:
+        with Image.open(io.BytesIO(image)) as opened:
             return opened.height, opened.width
     except (OSError, Image.DecompressionBombError) as error:
-        raise ValueError("the image cannot be read, and the label file does not give its size") from error
+        raise ValueError("the image in the label file cannot be read") from error
 
 
 def numbers(value: Any, columns: int = 2) -> NDArray[np.float64]:

@@ -85,7 +85,9 @@ def test_set_digest_does_not_depend_on_how_a_photograph_is_stored(tmp_path: path
     assert len(digests) == 1
 
 
-@pytest.mark.parametrize("content", ['{"masks_drawn_on": "both"}', "{}", "[]", '{"masks": "stored"}'])
+@pytest.mark.parametrize(
+    "content", ['{"masks_drawn_on": "both"}', '{"large_masks": "yes"}', "[]", '{"masks": "stored"}']
+)
 def test_options_with_other_content_are_refused(tmp_path: pathlib.Path, content: str) -> None:
     photograph(tmp_path, 1, "upright", (30, 20))
     (tmp_path / "set.json").write_text(content)
