@@ -130,6 +130,16 @@ def test_finger_cut_off_by_the_border_is_removed() -> None:
     hand = skin_on_gray(mask)
     assert hand.alpha[85, 6] == 0
     assert hand.alpha[48, 64] == 1
+    assert hand.background[80:, :12].max() < 0.6, "the finger is not left in the background either"
+
+
+def test_second_hand_stays_in_image_and_mask() -> None:
+    mask = np.zeros((96, 128), np.uint8)
+    mask[30:, 10:50], mask[60:, 100:120] = 1, 1
+    hand = skin_on_gray(mask)
+    assert hand.alpha[75, 30] == 1
+    assert hand.alpha[75, 110] == 1
+    assert hand.background.max() < 0.6
 
 
 def test_methods_are_chosen_with_probability_one_half_and_independently() -> None:
