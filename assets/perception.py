@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import pathlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import dagster as dg
 
@@ -23,6 +23,8 @@ from assets.reporting import (
 from assets.run_settings import planning_delta
 from deltasafe import presets
 from deltasafe.compute.executor import Executor
+from deltasafe.errors import SettingsError
+from deltasafe.perception.data.importing.settings import ImportSettings
 
 if TYPE_CHECKING:
     from deltasafe.perception.data.labeled_images import LabeledImageSet
@@ -33,6 +35,7 @@ _retried = functools.partial(_asset, retry_policy=RETRY_TWICE)
 
 members = dg.StaticPartitionsDefinition([f"member_{index:02d}" for index in range(PRESET.n_members)])
 
+LabelsConfig = configurable(ImportSettings())
 AugmentationConfig = configurable(PRESET.augmentation)
 TrainingConfig = configurable(PRESET.training)
 InferenceConfig = configurable(PRESET.inference)
@@ -41,9 +44,33 @@ PromotionConfig = configurable(PRESET.promotion)
 
 
 class HandsConfig(dg.Config):
-    """`folder` contains images/ and masks/ (255 = hand). If it is empty, the packaged set is used."""
+    """`folder` contains images/ and masks/ (255 = hand). If it is empty, the packaged set is used.
+
+    Or `source` is the label file or folder of another tool, and `labels` says how to convert it.
+    """
 
     folder: str = ""
+    source: str = ""
+    labels: LabelsConfig = LabelsConfig()
+
+    def input(self, store: Store, asset: str, packaged: str) -> tuple[pathlib.Path, pathlib.Path | None]:
+        """Return folder and checksum registry of the set; converts the source if that is not done yet.
+
+        Raises:
+            DataError: the source cannot be converted.
+            SettingsError: both folder and source are given, or the settings of the labels are invalid.
+        """
+        from deltasafe.perception.data.importing.import_hands import import_hands, source_digest
+
+        if not self.source:
+            return store.dataset(self.folder, packaged)
+        if self.folder:
+            raise SettingsError(f"{asset}: give either folder or source, not both")
+        source, settings = pathlib.Path(self.source).expanduser(), self.labels.settings()
+        converted = store.folder(asset, f"import-{source_digest(source, settings)[:16]}")
+        if not converted.is_dir():
+            import_hands(source, converted, settings)
+        return converted, None
 
 
 class AugmentedConfig(dg.Config):
@@ -76,14 +103,16 @@ class ReportConfig(dg.Config):
     device: str = "auto"
 
 
-def _checked_hands(config: HandsConfig, store: Store, packaged: str) -> dg.Output[pathlib.Path]:
+def _checked_hands(config: HandsConfig, store: Store, asset: str, packaged: str) -> dg.Output[pathlib.Path]:
     from deltasafe.perception.data.labeled_images import LabeledImageSet
     from deltasafe.perception.data.labeled_images_figure import labeled_images_figure
 
-    folder, registry = store.dataset(config.folder, packaged)
+    folder, registry = config.input(store, asset, packaged)
     hands = LabeledImageSet.load(folder, registry)
     sheet = inline_jpeg(labeled_images_figure(hands), "labeled images")
-    metadata = {"examples": sheet, "images": len(hands), **folder_facts(folder, hands.digest[:16])}
+    metadata: dict[str, Any] = {"examples": sheet, "images": len(hands), **folder_facts(folder, hands.digest[:16])}
+    if config.source:
+        metadata["conversion"] = dg.MetadataValue.md((folder / "import.md").read_text(encoding="utf-8"))
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))
 
 
@@ -94,7 +123,7 @@ def raw_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output[
 
     A failure names the file and the defect.
     """
-    return _checked_hands(config, store, "hands/train")
+    return _checked_hands(config, store, "raw_hands", "hands/train")
 
 
 @_asset(kinds={"image"})
@@ -104,7 +133,7 @@ def test_hands(config: HandsConfig, store: dg.ResourceParam[Store]) -> dg.Output
 
     A failure names the file and the defect.
     """
-    return _checked_hands(config, store, "hands/test")
+    return _checked_hands(config, store, "test_hands", "hands/test")
 
 
 @_retried(kinds={"numpy", "image"}, pool=ALL_CORES)

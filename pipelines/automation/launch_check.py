@@ -12,7 +12,7 @@ import dagster as dg
 from assets.config import SettingsConfig
 from assets.interfaces import Store
 from assets.run_settings import conflicting_deltas
-from deltasafe.errors import SettingsError
+from deltasafe.errors import DeltasafeError, SettingsError
 
 
 def launch_error(run_config: Mapping[str, Any], steps: Collection[str], store: Store) -> str:
@@ -45,14 +45,25 @@ def defective_inputs(run_config: Mapping[str, Any], steps: Collection[str], stor
     def config(step: str) -> Any:
         return classes[step](**run_config.get("ops", {}).get(step, {}).get("config", {}))
 
+    unconverted: list[str] = []
+
     def folder(step: str, field: str, packaged: str = "") -> InputFolder | None:
         if step not in steps or not ((chosen := getattr(config(step), field)) or packaged):
             return None
         return InputFolder(*store.dataset(chosen, packaged))
 
+    def hands(step: str, packaged: str) -> InputFolder | None:
+        if step not in steps:
+            return None
+        try:
+            return InputFolder(*config(step).input(store, step, packaged))
+        except DeltasafeError as error:
+            unconverted.append(f"{step}: {error}")
+            return None
+
     inputs = RunInputs(
-        training=folder("raw_hands", "folder", "hands/train"),
-        test=folder("test_hands", "folder", "hands/test"),
+        training=hands("raw_hands", "hands/train"),
+        test=hands("test_hands", "hands/test"),
         calibration=folder("calibration_report", "calibration_folder"),
         backgrounds=folder("augmented_hands", "backgrounds", "backgrounds"),
         scenes=folder("logged_scenes", "folder", "scenes"),
@@ -61,7 +72,7 @@ def defective_inputs(run_config: Mapping[str, Any], steps: Collection[str], stor
         inputs = dataclasses.replace(inputs, n_scenes=config("logged_scenes").n_scenes)
     if "calibration_report" in steps:
         inputs = dataclasses.replace(inputs, evaluation=config("calibration_report").calibration.settings())
-    defects = inputs.defects()
+    defects = unconverted + inputs.defects()
     listed = "".join(f"\n{defect}" for defect in defects)
     return f"nothing was run, since inputs are defective:{listed}" if defects else ""
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from deltasafe.errors import DataError
-from deltasafe.io.storage import atomic_folder, write_json
+from deltasafe.io.storage import atomic_folder, digest_of, write_json
 from deltasafe.perception.data.importing.formats import read_source
 from deltasafe.perception.data.importing.mask_sheets import write_mask_sheets
 from deltasafe.perception.data.importing.settings import ImportSettings
@@ -119,6 +119,13 @@ def import_hands(
         record = {"format": labels.format, "settings": settings, "classes": classes, "images": images}
         write_json(temporary / report.RECORD, record)
     return report
+
+
+def source_digest(source: pathlib.Path, settings: ImportSettings) -> str:
+    """Return a digest of a conversion: the settings, and path, size and time of every file of the source."""
+    files = sorted(source.rglob("*")) if source.is_dir() else [source, *sorted(source.parent.rglob("*"))]
+    states = [(path.as_posix(), path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.is_file()]
+    return digest_of([settings, str(source.resolve()), states])
 
 
 def _chosen_classes(source: pathlib.Path, labels: LabelSource, settings: ImportSettings) -> list[str]:

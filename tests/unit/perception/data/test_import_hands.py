@@ -195,9 +195,7 @@ def test_classes_over_several_files_are_not_merged_silently(tmp_path, hand):
     assert not found["a"].any()
     np.testing.assert_array_equal(found["b"], hand)
     (folder / "labels").rename(folder / "masks")
-    with pytest.raises(
-        DataError, match=r"perhaps of several classes: 1 .*, 2 .*--class '1' --class '2'"
-    ):
+    with pytest.raises(DataError, match=r"perhaps of several classes: 1 .*, 2 .*--class '1' --class '2'"):
         LabeledImageSet.load(folder)
 
 
