@@ -53,8 +53,8 @@ def read_source(source: pathlib.Path, settings: ImportSettings) -> LabelSource:
         for option in ("threshold", "alpha", "inverted"):
             if getattr(settings, option):
                 raise DataError(source, f"has outlines of the format {form} and no mask files; remove --{option}")
-        used = {image.image for image in images}
-        images += [unlabeled(path) for path in files.all() if path not in used]
+        used = {image.image.resolve() for image in images if isinstance(image.image, pathlib.Path)}
+        images += [unlabeled(path) for path in files.all() if path.resolve() not in used]
     return LabelSource(form, tuple(images), has_mask_files)
 
 
