@@ -19,6 +19,7 @@ import numpy as np
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DeltasafeError
 from evidence.faults.malformed.ensembles import ensemble_cases
+from evidence.faults.malformed.labels import label_cases
 from evidence.faults.malformed.logs import log_cases
 from evidence.faults.malformed.pictures import hand_cases, picture_cases
 from evidence.faults.malformed.recordings import recording_cases
@@ -38,6 +39,7 @@ def all_cases(home: pathlib.Path) -> list[Case]:
     return [
         *hand_cases(home),
         *picture_cases(home, frozen),
+        *label_cases(home),
         *scene_cases(scene),
         *log_cases(home, scene),
         *recording_cases(home, home / "ensemble" / "member-0"),

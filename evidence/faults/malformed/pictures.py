@@ -111,6 +111,11 @@ def _mask_changes(valid: pathlib.Path) -> Iterator[tuple[str, Change]]:
     yield "with floats", filled(_encoded(Image.fromarray(mask).convert("F"), "TIFF"))
     noisy = np.clip(mask.astype(int) + np.random.default_rng(0).integers(-9, 9, mask.shape), 0, 255)
     yield "with noise", filled(_encoded(Image.fromarray(noisy.astype(np.uint8)), "PNG"))
+    yield "inverted", filled(_encoded(Image.fromarray(255 - mask), "PNG"))
+    yield "with another value than the other masks", filled(_encoded(Image.fromarray(mask // 255 * 7), "PNG"))
+    colors = np.zeros((height, width, 3), np.uint8)
+    colors[: height // 3, : width // 2, 0], colors[2 * height // 3 :, : width // 2, 1] = 255, 255
+    yield "with two colors", filled(_encoded(Image.fromarray(colors), "PNG"))
     yield "rotated by exif", filled(_rotated(Image.fromarray(mask), "PNG", 3))
     for n in range(3):
         yield f"with a flipped bit, {n}", _bit_flipped(png)

@@ -11,6 +11,7 @@ from evidence.faults import welcome
 from evidence.faults.inputs import check_all, named_hands, rejected_valid_inputs
 from evidence.faults.malformed.documents import document_changes
 from evidence.faults.malformed.files import at
+from evidence.faults.malformed.labels import label_cases
 from evidence.faults.malformed.pictures import hand_cases, picture_cases
 from evidence.faults.malformed.scenes import copied_scene, scene_cases
 from evidence.faults.rejection import Case, InputKind, check_rejection
@@ -29,6 +30,13 @@ def test_malformed_images_and_hand_sets_are_rejected(home: pathlib.Path) -> None
     assert len(cases) > 150
     assert rejected_valid_inputs(cases, home) == []
     assert [failure.text for failure in check_all(cases, home, seed=1)] == []
+
+
+def test_malformed_labels_of_other_tools_are_rejected(home: pathlib.Path) -> None:
+    cases = label_cases(home)
+    assert len(cases) > 120
+    assert rejected_valid_inputs(cases, home) == []
+    assert [failure.text for failure in check_all(cases[::4], home, seed=1)] == []
 
 
 def test_inputs_as_people_have_them_are_accepted(home: pathlib.Path) -> None:

@@ -31,7 +31,7 @@ def read_source(source: pathlib.Path, settings: ImportSettings) -> LabelSource:
     """
     if source.suffix.lower() in (".zip", ".tar", ".gz", ".7z"):
         raise DataError(source, "is an archive; unpack it and give the folder")
-    if not source.exists():
+    if not (source.is_file() or source.is_dir()):
         raise DataError(source, "is missing; give the file or folder of the labels")
     found = _label_files(source)
     if settings.format == "roboflow" and "roboflow" not in found:

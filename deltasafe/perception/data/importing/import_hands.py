@@ -184,7 +184,7 @@ def _convert(
         except (KeyError, IndexError, TypeError, ValueError, AttributeError, OSError) as error:  # a malformed region
             item.image.unlink(missing_ok=True)
             item.mask.unlink(missing_ok=True)
-            reason = error.reason if isinstance(error, DataError) else f"has a malformed label ({error})"
+            reason = error.reason if isinstance(error, DataError) else f"has a label that cannot be used: {error}"
             if "masks_drawn_on" in reason:
                 reason = "has an EXIF orientation; give --masks-drawn-on upright, or stored"
             converted.append(ImportedImage(image.name, reason=" ".join(reason.split())[:300]))

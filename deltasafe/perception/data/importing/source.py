@@ -111,7 +111,7 @@ def shape_image(
             is_chosen = shape.label in chosen
             if shape.is_rectangle and not fills:
                 if is_chosen:
-                    raise ValueError(f"has a rectangle of {shape.label}; give --rectangles fill, or ignore")
+                    raise ValueError(f"a rectangle of {shape.label}; give --rectangles fill, or ignore")
             elif is_chosen or paints:
                 marked[shape.draw(height, width)] = is_chosen
         return marked

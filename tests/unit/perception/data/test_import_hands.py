@@ -11,7 +11,8 @@ from PIL import Image
 
 from deltasafe import cli
 from deltasafe.errors import DataError, SettingsError
-from deltasafe.perception.data.importing.import_hands import ImportSettings, import_hands
+from deltasafe.perception.data.importing.import_hands import import_hands
+from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 
 GOLDEN = pathlib.Path(__file__).parents[3] / "golden" / "labels"
@@ -111,7 +112,10 @@ def test_rectangles_are_no_outlines_unless_told(source, tmp_path):
     folder, cup = source("labelme"), {"classes": ("cup",)}
     report = import_hands(folder, tmp_path / "out", ImportSettings(**cup))
     assert [(image.source, image.reason) for image in report.skipped] == [
-        ("../images/cup only.jpg", "has a malformed label (has a rectangle of cup; give --rectangles fill, or ignore)")
+        (
+            "../images/cup only.jpg",
+            "has a label that cannot be used: a rectangle of cup; give --rectangles fill, or ignore",
+        )
     ]
     import_hands(folder, tmp_path / "fill", ImportSettings(**cup, rectangles="fill"))
     import_hands(folder, tmp_path / "ignore", ImportSettings(**cup, rectangles="ignore"))
@@ -128,7 +132,7 @@ def test_coco_boxes_are_rectangles(source, tmp_path):
     for annotation in document["annotations"]:
         annotation["segmentation"] = []
     path.write_text(json.dumps(document))
-    with pytest.raises(DataError, match=r"2 x has a malformed label .*--rectangles"):
+    with pytest.raises(DataError, match=r"2 x has a label that cannot be used.*--rectangles"):
         import_hands(folder, tmp_path / "out", HAND)
     import_hands(folder, tmp_path / "out", ImportSettings(classes=("hand",), rectangles="fill"))
     assert masks_of(tmp_path / "out")["Hände 2"][2:20, 5:30].all()
