@@ -148,7 +148,8 @@ def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResu
     automation_condition=ON_NEW_ASSET,
     additional_ins={"logged_scenes": dg.AssetIn("logged_scenes")},
     description="In every scene, at most 5 % of the pixels of the true hand have p_occupied up to delta, which the "
-    "planner treats as free. A failure is a warning: motions may come too close to the hand.",
+    "planner treats as free. A failure is a warning: motions may come too close to the hand, or no scene has a true "
+    "mask to judge by.",
 )
 def true_hands_are_seen(
     context: dg.AssetCheckExecutionContext, occupancy_fields: pathlib.Path, logged_scenes: pathlib.Path
@@ -157,13 +158,20 @@ def true_hands_are_seen(
     from deltasafe.trials.selection import load_selection
 
     delta = planning_delta(context.run.run_config)
-    missed = miss_rates_at_delta(load_selection(logged_scenes), occupancy_fields, delta)
-    worst = max(missed, key=lambda scene: missed[scene])
+    scenes = load_selection(logged_scenes)
+    missed = miss_rates_at_delta(scenes, occupancy_fields, delta)
+    unjudged = len(scenes) - len(missed)
+    notes = [f"not judged: {unjudged} of {len(scenes)} scenes, which have no true mask"] if unjudged else []
+    largest, passed = None, False
+    if missed:
+        worst = max(missed, key=lambda scene: missed[scene])
+        largest, passed = round(missed[worst], 4), missed[worst] <= 0.05
+        notes.insert(0, f"the largest miss rate at delta {delta:g} is {missed[worst]:.1%} of a hand (in {worst})")
     return dg.AssetCheckResult(
-        passed=missed[worst] <= 0.05,
+        passed=passed,
         severity=dg.AssetCheckSeverity.WARN,
-        description=f"the largest miss rate at delta {delta:g} is {missed[worst]:.1%} of a hand (in {worst})",
-        metadata={"largest miss rate at delta": round(missed[worst], 4), "miss rate at delta, by scene": missed},
+        description="; ".join(notes),
+        metadata={**readable({"largest miss rate at delta": largest}), "miss rate at delta, by scene": missed},
     )
 
 
@@ -221,25 +229,43 @@ def recordings_are_intact(executed_motions: pathlib.Path) -> dg.AssetCheckResult
     asset="safety_report",
     automation_condition=ON_NEW_ASSET,
     description="Every executed motion was completed, had no contact with hand or table, and was delta-safe at "
-    "every pose. A failure names the counts; the safety report shows the motions.",
+    "every pose. A failure names the counts; the safety report shows the motions. If no scene has a true hand, it is "
+    "a warning: not judged.",
 )
 def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
     return safety_result(safety_report, n_required=1)
 
 
 def safety_result(report: pathlib.Path, n_required: int) -> dg.AssetCheckResult:
-    """Evaluate a safety report: all executed motions were safe, and at least ``n_required`` were executed."""
+    """Evaluate a safety report: all executed motions were safe, and at least ``n_required`` were executed.
+
+    Motions without a true hand neither pass nor fail as far as they are not judged. If all are such, the result is a
+    warning.
+    """
     from deltasafe.trials.safety_report import read_figures
 
     figures = read_figures(report)
-    safe, executed, contacts = (int(figures[name]) for name in ("scenes_safe", "scenes_executed", "contacts"))
-    completed = int(figures.get("scenes_completed", safe))
-    found = (
-        f"{safe} of {executed} executed motions were safe; not completed: {executed - completed}; "
-        f"contacts with hand or table: {contacts}"
+    safe, executed = int(figures["scenes_safe"] or 0), int(figures["scenes_executed"] or 0)
+    judged = int(figures.get("scenes_judged", executed) or 0)
+    unsafe = int(figures.get("scenes_unsafe", judged - safe) or 0)
+    completed = int(figures.get("scenes_completed", safe) or 0)
+    contacts, unjudged = figures["contacts"], executed - judged
+    found = f"not completed: {executed - completed}"
+    if judged or not executed:
+        found = f"{safe} of {judged} executed motions were safe; {found}; contacts with hand or table: {contacts}"
+    if unjudged:
+        found += (
+            f"; not judged: contacts of {unjudged} motions with the hand, because their scenes have no true hand "
+            f"({unsafe - (judged - safe)} of them were unsafe for another reason)"
+        )
+    failed = unsafe > 0 or bool(contacts) or executed < n_required
+    undecided = unjudged > 0 and judged == 0 and not failed
+    return dg.AssetCheckResult(
+        passed=not failed and not undecided,
+        severity=dg.AssetCheckSeverity.WARN if undecided else dg.AssetCheckSeverity.ERROR,
+        description=found,
+        metadata=readable(figures),
     )
-    passed = contacts == 0 and safe == executed >= n_required
-    return dg.AssetCheckResult(passed=passed, description=found, metadata=readable(figures))
 
 
 @dg.asset_check(
@@ -252,8 +278,8 @@ def tracking_kept_its_bound(safety_report: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.trials.safety_report import read_figures
 
     figures = read_figures(safety_report)
-    excess_m = figures.get("max_tracking_excess_m", 0.0)
-    fraction = figures.get("tracking_share_within_bound", 1.0)
+    excess_m = figures.get("max_tracking_excess_m") or 0.0
+    fraction = figures.get("tracking_share_within_bound", 1.0) or 0.0
     if excess_m > 0.0:
         found = f"the error exceeded its bound by up to {1000 * excess_m:.2f} mm, in {1 - fraction:.1%} of the time"
     else:

@@ -61,7 +61,7 @@ def logged_scenes(
 ) -> dg.Output[pathlib.Path]:
     """The selected scenes: image of a table with a hand, camera, start and goal. Each is checked.
 
-    Mask and mesh of the true hand are used only for evaluation. A failure names the file and the defect.
+    Mask and mesh of the true hand are optional, and used only for evaluation. A failure names the file and the defect.
     """
     from deltasafe.io.storage import sha256_of_file
     from deltasafe.trials.overview import tile_pictures
@@ -73,8 +73,9 @@ def logged_scenes(
     version = sha256_of_file(folder / "scenes.json")[:16]
     sheet = folder.with_name(f"{folder.name}-sheet.jpg")
     tile_pictures([scene.image_path for scene in scenes[:20]], sheet, columns=5)
-    facts = {"scenes": len(scenes), "source folder": str(source), **folder_facts(folder, version)}
-    metadata = {"scenes as logged": inline_picture(sheet), **facts}
+    judged = sum(scene.mesh_path is not None for scene in scenes)
+    facts = {"scenes": len(scenes), "with a true hand": judged, "source folder": str(source)}
+    metadata = {"scenes as logged": inline_picture(sheet), **facts, **folder_facts(folder, version)}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
 
 
@@ -151,7 +152,8 @@ def executed_motions(
 ) -> dg.Output[pathlib.Path]:
     """Recordings of all planned motions on the simulated iiwa with impedance control, next to the true hand.
 
-    Made from planned_motions. Motions that were not executed are listed with the reason.
+    Made from planned_motions. A scene without a true hand is executed in a world without one. Motions that were not
+    executed are listed with the reason.
     """
     from deltasafe.trials.executions import execute_scenes
     from deltasafe.trials.motions import PlannedScenes
@@ -191,7 +193,8 @@ def safety_report(
 ) -> dg.Output[pathlib.Path]:
     """Report on the executed motions: delta-safety, clearance to the true hand, contacts, tracking errors, films.
 
-    Made from executed_motions. The checks executions_were_safe and tracking_kept_its_bound decide on its figures.
+    Made from executed_motions. Without a true hand, contacts are not judged. The checks executions_were_safe and
+    tracking_kept_its_bound decide on its figures.
     """
     from deltasafe.trials.motions import PlannedScenes
     from deltasafe.trials.selection import load_selection

@@ -84,17 +84,18 @@ def report_with_summary(path: pathlib.Path) -> Metadata:
     return {**summary_of(path.read_text(encoding="utf-8")), "report": inline_report(path)}
 
 
-def readable(figures: Mapping[str, float]) -> Metadata:
-    """Return figures with descriptive names, lengths in millimeters, and four significant digits."""
+def readable(figures: Mapping[str, float | None]) -> Metadata:
+    """Return figures with descriptive names, lengths in millimeters, and four significant digits; None: not judged."""
     shown: Metadata = {}
     for name, value in figures.items():
         words, unit = name, ""
         for suffix, (factor, symbol) in _UNITS.items():
             if name.endswith(suffix):
-                words, unit, value = name.removesuffix(suffix), f" [{symbol}]", factor * value  # noqa: PLW2901
+                words, unit = name.removesuffix(suffix), f" [{symbol}]"
+                value = None if value is None else factor * value  # noqa: PLW2901
                 break
         label = _NAMES.get(name) or words.replace("_", " ") + unit
-        shown[label] = value if isinstance(value, int) else float(f"{value:.4g}")
+        shown[label] = "not judged" if value is None else value if isinstance(value, int) else float(f"{value:.4g}")
     return shown
 
 

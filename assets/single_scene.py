@@ -59,7 +59,8 @@ def logged_scene(
     folder = store.folder("logged_scene", f"{context.partition_key}-{context.run.run_id[:8]}")
     scene = select_scene(source / context.partition_key, folder)
     version = sha256_of_file(folder / "scenes.json")[:16]
-    metadata = {"image": inline_picture(scene.image_path, 60_000), **folder_facts(scene.image_path.parent, version)}
+    shown = {"image": inline_picture(scene.image_path, 60_000), "with a true hand": scene.mesh_path is not None}
+    metadata = {**shown, **folder_facts(scene.image_path.parent, version)}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
 
 
@@ -97,7 +98,8 @@ def scene_execution(
 ) -> dg.Output[pathlib.Path]:
     """The motion on the simulated arm next to the true hand, with a safety report.
 
-    Made from scene_motion. The check execution_of_the_scene_was_safe decides on its figures.
+    Made from scene_motion. Without a true hand, contacts are not judged. The check execution_of_the_scene_was_safe
+    decides on its figures.
     """
     from deltasafe.trials.single_scene import execute_scene
 

@@ -26,7 +26,7 @@ def save_film(
     destination: str | pathlib.Path,
     execution: Execution,
     camera: Camera,
-    mesh: Mesh,
+    mesh: Mesh | None,
     *,
     table_z_m: float = 0.0,
     seconds: float = 7.0,
@@ -101,10 +101,11 @@ def _captioned(rgb: NDArray[np.uint8], execution: Execution, sample: int, speed_
     height, width = rgb.shape[:2]
     image = Image.new("RGB", (width, height + _BAR_PX), _BAR_RGB)
     image.paste(Image.fromarray(rgb))
-    distance = execution.tool_to_hand_m[sample] * 1e3
+    distance_m = execution.tool_to_hand_m[sample]
+    distance = f"tool to hand {distance_m * 1e3:4.0f} mm" if execution.beside_hand else "no true hand"
     text = (
         f"{execution.time_s[sample]:5.1f} s (x{speed_up:.1f})   {PHASES[execution.phase[sample]]:<8}   "
-        f"{execution.reference_speed_mps[sample] * 1e3:4.0f} mm/s   tool to hand {distance:4.0f} mm"
+        f"{execution.reference_speed_mps[sample] * 1e3:4.0f} mm/s   {distance}"
     )
     if execution.stop_reason and PHASES[execution.phase[sample]] == "stopped":
         text += "   STOPPED by the monitor"

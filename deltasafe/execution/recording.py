@@ -97,6 +97,11 @@ class Execution:
         return not self.stop_reason
 
     @property
+    def beside_hand(self) -> bool:
+        """Whether a hand was in the simulated world; without one, contacts with it are not judged."""
+        return bool(np.isfinite(self.tool_to_hand_m).all())
+
+    @property
     def tool_rotations(self) -> NDArray[np.float64]:
         """(N, 3, 3) world from tool."""
         return rotation_matrices(self.tool_quaternions)

@@ -58,10 +58,13 @@ class SafetyVerdict:
             None without a hand or without links.
         margin_kept_share: fraction of the judged poses at which every point of the tool kept the motion's margin around
             the unsafe set; None for a motion without a margin.
-        contacts: contact points with hand or table in the simulation, approach and retreat included.
+        contacts: contact points with hand or table in the simulation, approach and retreat included; None without a
+            hand.
         duration_s: of the evaluated part.
         safe: all poses of the motion are delta-safe and kept the margin, the motion was completed, and there was no
-            contact.
+            contact. None (not judged) if only the hand is missing for that.
+        hand_judged: whether the true hand was in the simulated world; else the world was without a hand.
+        table_contacts: contact points with the table in a world without a hand; None with a hand.
     """
 
     delta: float
@@ -81,9 +84,11 @@ class SafetyVerdict:
     by_speed: tuple[SpeedBin, ...]
     min_tool_to_hand_m: float | None
     min_arm_to_hand_m: float | None
-    contacts: int
+    contacts: int | None
     duration_s: float
-    safe: bool
+    safe: bool | None
+    hand_judged: bool
+    table_contacts: int | None
     margin_kept_share: float | None = None
 
 
@@ -95,6 +100,8 @@ def evaluate_execution(
     spacing_m: float = 0.0025,
 ) -> SafetyVerdict:
     """Evaluate the measured poses against the grid that the motion was planned in, and against the true hand.
+
+    Without a hand in the simulated world, everything about it is None: not judged.
 
     Args:
         execution: the recording.
@@ -120,8 +127,9 @@ def evaluate_execution(
         dilated = grid.dilated(settings.delta, margin_m)
         inside = largest_p_occupied(execution, dilated, settings.body, spacing_m) > settings.delta
         kept = float((~inside[judged]).mean())
-    time_s = execution.time_s[judged]
+    time_s, beside_hand = execution.time_s[judged], execution.beside_hand
     tool, arm = execution.tool_to_hand_m.min(), execution.arm_to_hand_m.min()
+    succeeded = whole and kept in (None, 1.0) and execution.completed and contacts == 0 and bool(tool > 0)
     return SafetyVerdict(
         delta=float(settings.delta),
         poses=int(judged.sum()),
@@ -140,9 +148,11 @@ def evaluate_execution(
         by_speed=tuple(_by_speed(speed, error, excess)),
         min_tool_to_hand_m=float(tool) if math.isfinite(tool) else None,
         min_arm_to_hand_m=float(arm) if math.isfinite(arm) else None,
-        contacts=contacts,
+        contacts=contacts if beside_hand else None,
         duration_s=float(time_s[-1] - time_s[0]),
-        safe=whole and kept in (None, 1.0) and execution.completed and contacts == 0 and bool(tool > 0),
+        safe=None if succeeded and not beside_hand else succeeded,
+        hand_judged=beside_hand,
+        table_contacts=None if beside_hand else contacts,
         margin_kept_share=kept,
     )
 

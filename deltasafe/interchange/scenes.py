@@ -6,6 +6,7 @@ import pathlib
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from deltasafe.errors import DataError
@@ -36,12 +37,16 @@ def export_scene(scene: LoggedScene, destination: str | pathlib.Path) -> None:
     """
     with open_log(destination) as log:
         write_scene_topics(log, scene)
-        log.attach(MASK, "image/png", scene.mask_path.read_bytes())
-        log.attach(MESH, "application/x-npz", scene.mesh_path.read_bytes())
+        for name, media_type, path in (
+            (MASK, "image/png", scene.mask_path),
+            (MESH, "application/x-npz", scene.mesh_path),
+        ):
+            if path is not None:
+                log.attach(name, media_type, path.read_bytes())
 
 
 def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
-    """Write the messages of a scene, all at time 0. The mesh of the true hand is for display."""
+    """Write the messages of a scene, all at time 0. The mesh of the true hand, if there is one, is for display."""
     camera = scene.camera
     suffix = scene.image_path.suffix.lower().lstrip(".").replace("jpg", "jpeg")
     if suffix not in FORMATS:
@@ -79,7 +84,9 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
     )
     for topic, pose in ((START, scene.start), (GOAL, scene.goal)):
         log.write_message(topic, "foxglove.PoseInFrame", 0, {"frame_id": WORLD, "pose": upright(pose)})
-    log.write_message(HAND, "foxglove.SceneUpdate", 0, {"deletions": [], "entities": [_hand(scene)]})
+    mesh = scene.mesh_if_known()
+    if mesh is not None:
+        log.write_message(HAND, "foxglove.SceneUpdate", 0, {"deletions": [], "entities": [_hand(*mesh)]})
     log.write_facts(
         FACTS,
         {
@@ -94,11 +101,12 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
 def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> LoggedScene:
     """Convert an MCAP log to a scene folder (docs/reference/formats.md) atomically, and load it.
 
-    The first image is used. Poses are transformed into the frame ``world`` at the time of that image.
+    The first image is used. Poses are transformed into the frame ``world`` at the time of that image. True mask and
+    mesh are taken from the attachments, if there are any.
 
     Raises:
-        DataError: the log is damaged; it lacks a topic, a fact or the ground truth; its frames, sizes or rotations
-            contradict each other; or a task pose is not upright.
+        DataError: the log is damaged; it lacks a topic or a fact; its frames, sizes or rotations contradict each other;
+            or a task pose is not upright.
         SettingsError: the package mcap is not installed.
     """
     log = read_log(source)
@@ -107,6 +115,7 @@ def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> Logg
     if form not in FORMATS:
         raise DataError(log.path, f"{IMAGE} is {form!r}; only {sorted(FORMATS)} can be read, convert it")
     frames = Frames(log, TRANSFORM)
+    truth = {key: name for key, name in (("mask", MASK), ("mesh", MESH)) if name in log.attachments}
     try:
         record = {
             "id": facts["id"],
@@ -116,7 +125,7 @@ def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> Logg
             "hand_height_m": facts["hand_height_m"],
             "start": _task(log, START, frames),
             "goal": _task(log, GOAL, frames),
-            "ground_truth": {"mask": MASK, "mesh": MESH},
+            **({"ground_truth": truth} if truth else {}),
         }
     except DataError:
         raise
@@ -124,19 +133,21 @@ def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> Logg
         raise DataError(log.path, f"describes no scene ({error!r}); export it again") from error
     with atomic_folder(folder) as temporary:
         (temporary / FORMATS[form]).write_bytes(data)
-        for name in (MASK, MESH):
+        for name in truth.values():
             (temporary / name).write_bytes(log.attachment(name))
         write_json(temporary / "scene.json", record)
         try:
             scene = LoggedScene.load(temporary)
-            image, mask = read_rgb(scene.image_path), read_mask(scene.mask_path)
+            pixels = {IMAGE: read_rgb(scene.image_path)}
+            if scene.mask_path is not None:
+                pixels[MASK] = read_mask(scene.mask_path)
         except DataError as error:  # it names a temporary folder
             raise DataError(log.path, f"holds a scene whose {error.path.name} {error.reason}") from error
-        for topic, pixels in ((IMAGE, image), (MASK, mask)):
-            if pixels.shape[:2] != (scene.camera.height, scene.camera.width):
+        for topic, image in pixels.items():
+            if image.shape[:2] != (scene.camera.height, scene.camera.width):
                 raise DataError(
                     log.path,
-                    f"{topic} is {pixels.shape[1]} x {pixels.shape[0]} pixels, {CALIBRATION} is for "
+                    f"{topic} is {image.shape[1]} x {image.shape[0]} pixels, {CALIBRATION} is for "
                     f"{scene.camera.width} x {scene.camera.height}; give the calibration of that image",
                 )
     return LoggedScene.load(folder)
@@ -250,8 +261,7 @@ def _agree(messages: list[dict[str, Any]]) -> bool:
     return all({**one, "timestamp": None} == {**messages[0], "timestamp": None} for one in messages)
 
 
-def _hand(scene: LoggedScene) -> dict[str, Any]:
-    vertices, triangles = scene.true_mesh()
+def _hand(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> dict[str, Any]:
     return {
         "timestamp": stamp(0),
         "frame_id": WORLD,

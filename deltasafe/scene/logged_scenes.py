@@ -4,7 +4,7 @@ import dataclasses
 import math
 import pathlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from deltasafe.geometry import Pose
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import read_json
 from deltasafe.scene.camera import Camera
+
+Mesh: TypeAlias = tuple[NDArray[np.float32], NDArray[np.int32]]
 
 MAX_NAME_LENGTH = 100
 MAX_DISTANCE_M = 10.0
@@ -27,6 +29,8 @@ MAX_NUMBER = 1e6
 class LoggedScene:
     """A logged scene; images stay on disk. Mask and mesh are ground truth for evaluation, never used for planning.
 
+    Both are optional: what needs them is not judged.
+
     Attributes:
         id: name of the scene.
         image_path: photograph of the size of the camera.
@@ -34,8 +38,8 @@ class LoggedScene:
         table_z_m: height of the table.
         hand_height_m: height above the table of the highest visible point of the hand.
         start, goal: poses of the tool.
-        mask_path: true mask (255 = hand).
-        mesh_path: true mesh, read by ``true_mesh``.
+        mask_path: true mask (255 = hand), or None.
+        mesh_path: true mesh, read by ``true_mesh``, or None.
     """
 
     id: str
@@ -45,8 +49,8 @@ class LoggedScene:
     hand_height_m: float
     start: Pose
     goal: Pose
-    mask_path: pathlib.Path
-    mesh_path: pathlib.Path
+    mask_path: pathlib.Path | None = None
+    mesh_path: pathlib.Path | None = None
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "LoggedScene":
@@ -58,8 +62,6 @@ class LoggedScene:
         folder = pathlib.Path(folder)
         path = folder / "scene.json"
         record = read_json(path)
-        truth = _member(path, record, "ground_truth")
-        _only(path, "ground_truth", truth, {"mask", "mesh"})
         try:
             camera = Camera.from_json(_member(path, record, "camera"))
         except SettingsError as error:
@@ -79,18 +81,27 @@ class LoggedScene:
             hand_height_m=hand_height_m,
             start=_pose(path, record, "start", table_z_m),
             goal=_pose(path, record, "goal", table_z_m),
-            mask_path=_file(path, truth, "mask"),
-            mesh_path=_file(path, truth, "mesh"),
+            **_truth(path, record),
         )
-        scene.true_mesh()
+        scene.mesh_if_known()
         return scene
 
-    def true_mesh(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    def mesh_if_known(self) -> Mesh | None:
+        """Read the true mesh as ``true_mesh`` does; None if the scene has none."""
+        return None if self.mesh_path is None else self.true_mesh()
+
+    def true_mesh(self) -> Mesh:
         """Read the true mesh in the world frame: vertices_m (V, 3) float32 and triangles (F, 3) int32.
 
         Raises:
-            DataError: the file is not such a mesh.
+            DataError: the scene has no true mesh, or the file is not a mesh.
         """
+        if self.mesh_path is None:
+            raise DataError(
+                self.image_path.parent / "scene.json",
+                "names no true mesh (ground_truth.mesh), without which contacts cannot be judged; add it, or leave "
+                "this scene out",
+            )
         try:
             arrays = read_npz(self.mesh_path)
             vertices_m, triangles = arrays["vertices_m"], arrays["triangles"]
@@ -175,6 +186,20 @@ def _finite(path: pathlib.Path, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_NUMBER:
         raise DataError(path, f"field {name} must be a finite number, got {value!r:.80}")
     return float(value)
+
+
+def _truth(path: pathlib.Path, record: Mapping[str, Any]) -> dict[str, pathlib.Path]:
+    """Paths of the true mask and mesh, as far as ``ground_truth`` names them."""
+    if "ground_truth" not in record:
+        return {}
+    truth = record["ground_truth"]
+    _only(path, "ground_truth", truth, {"mask", "mesh"})
+    if not isinstance(truth, Mapping) or not truth:
+        raise DataError(
+            path,
+            f"field ground_truth must name mask, mesh or both, got {truth!r:.80}; leave it out if they are unknown",
+        )
+    return {f"{name}_path": _file(path, truth, name) for name in truth}
 
 
 def _only(path: pathlib.Path, name: str, value: Any, fields: set[str]) -> None:

@@ -34,7 +34,7 @@ def executed_over_image(
 
     Left: the image with the contour of delta, the planned path (white), the executed path colored by speed, and the
     tool at its closest pose to the true hand. Right, over the planned arc length: distance to the true hand and planned
-    clearance, tracking error and bound, speed and limit.
+    clearance, tracking error and bound, speed and limit. Without a true hand, its distance is marked as not judged.
 
     Args:
         rgb: (H, W, 3) uint8, of the camera's size.
@@ -90,20 +90,24 @@ def _draw_image(
     over_image.draw_speed(
         figure, ax, executed, speed[judged], motion.settings.v_max_mps, "executed speed", linewidths=3.0
     )
-    closest = int(np.argmin(np.where(judged, execution.tool_to_hand_m, np.inf)))
+    handles = [level, *over_image.mark_ends(ax, planned)]
+    handles.insert(1, _draw_closest(ax, camera, execution))
+    over_image.finish_image(ax, handles, camera)
+    if execution.stop_reason:
+        ax.set_title(f"stopped by the monitor: {execution.stop_reason}", color=LIMIT, fontsize=9, loc="left")
+
+
+def _draw_closest(ax: Axes, camera: Camera, execution: Execution) -> Line2D:
+    """Draw the tool at its closest pose to the true hand; return the legend entry."""
+    if not execution.beside_hand:
+        return Line2D([], [], ls="none", label="distance to the hand: not judged")
+    closest = int(np.argmin(np.where(execution.judged, execution.tool_to_hand_m, np.inf)))
     pose = np.append(execution.tool_positions_m[closest], yaw_of(execution.tool_quaternions[closest]))
     edge, _ = camera.project(body_outlines(pose[None], execution.body)[0])
     ax.fill(*edge.T, facecolor="white", edgecolor="none", alpha=0.35)
     ax.plot(*edge.T, color=INK, lw=1.4)
     nearest_mm = 1000 * execution.tool_to_hand_m[closest]
-    handles = [
-        level,
-        Line2D([], [], color=INK, lw=1.4, label=f"tool at its closest pose, {nearest_mm:.1f} mm"),
-        *over_image.mark_ends(ax, planned),
-    ]
-    over_image.finish_image(ax, handles, camera)
-    if execution.stop_reason:
-        ax.set_title(f"stopped by the monitor: {execution.stop_reason}", color=LIMIT, fontsize=9, loc="left")
+    return Line2D([], [], color=INK, lw=1.4, label=f"tool at its closest pose, {nearest_mm:.1f} mm")
 
 
 def _draw_limits(axes: list[Axes], motion: PlannedMotion, execution: Execution, speed: Array) -> None:
@@ -111,7 +115,8 @@ def _draw_limits(axes: list[Axes], motion: PlannedMotion, execution: Execution, 
     assert profile is not None
     arc_mm, planned_mm = 1000 * arc_length_of_samples_m(execution)[judged], 1000 * profile.arc_length_m
     clear, error, fast = axes
-    clear.plot(arc_mm, 1000 * execution.tool_to_hand_m[judged], color=CLEAR, lw=1.8, label="to the true hand")
+    if execution.beside_hand:
+        clear.plot(arc_mm, 1000 * execution.tool_to_hand_m[judged], color=CLEAR, lw=1.8, label="to the true hand")
     clear.plot(planned_mm, 1000 * profile.clearance_m, color=INK, lw=1.1, ls="--", label="planned clearance $d_o$")
     clear.set(ylabel="distance [mm]", ylim=(0, None))
     allowed = motion.tracking.error_m(np.maximum(execution.reference_speed_mps[judged], settings.v_min_mps))

@@ -20,7 +20,11 @@ def execution_figure(execution: Execution, settings: MotionSettings, title: str 
     figure = Figure(figsize=(8, 7), layout="constrained")
     distance, error, speed = figure.subplots(3, 1, sharex=True)
     time_s = execution.time_s
-    distance.plot(time_s, execution.tool_to_hand_m * 1e3, color=_TOOL, label="tool")
+    if execution.beside_hand:
+        distance.plot(time_s, execution.tool_to_hand_m * 1e3, color=_TOOL, label="tool")
+    else:
+        distance.plot([], [], color="none", label="not judged: the scene has no true hand")
+        distance.set_yticks([])
     if np.isfinite(execution.arm_to_hand_m).any():
         distance.plot(time_s, execution.arm_to_hand_m * 1e3, color=_ARM, label="links of the arm")
     touched = execution.contacts > 0

@@ -1,4 +1,4 @@
-"""Executions of the planned motions on the simulated arm, beside the true hand of each scene."""
+"""Executions of the planned motions on the simulated arm, beside the true hand of each scene that has one."""
 
 import contextlib
 import dataclasses
@@ -37,7 +37,7 @@ def execute_scenes(
     """Execute every scene that has a safe motion; write `SCENE/` into ``folder``, which appears atomically.
 
     A scene without a motion, or with one that the arm cannot follow, is an outcome with its reason. No link of the
-    arm may come below the upper face of the field.
+    arm may come below the upper face of the field. A scene without a true mesh is executed in a world without a hand.
 
     Args:
         seed: draws the arm's friction; scene k uses seed + k.
@@ -83,7 +83,7 @@ def _execute(
     try:
         execution = execute(
             motion.trajectory,
-            Workcell(motion.body, scene.true_mesh(), scene.table_z_m),
+            Workcell(motion.body, scene.mesh_if_known(), scene.table_z_m),
             settings,
             seed,
             limits=MonitorLimits.of(motion.settings, field),

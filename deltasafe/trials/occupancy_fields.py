@@ -57,12 +57,14 @@ def read_scene_image(scene: LoggedScene) -> NDArray[np.uint8]:
     return rgb
 
 
-def read_true_mask(scene: LoggedScene, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Read the true mask of a scene, (H, W) with 255 = hand. For evaluation only.
+def read_true_mask(scene: LoggedScene, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
+    """Read the true mask of a scene, (H, W) with 255 = hand; None if it has none. For evaluation only.
 
     Raises:
         DataError: it is unreadable, shows no hand, or has another ``shape`` than the image.
     """
+    if scene.mask_path is None:
+        return None
     mask: NDArray[np.uint8] = read_mask(scene.mask_path)
     if mask.shape != shape:
         raise DataError(scene.mask_path, f"is {mask.shape}, the image {shape} pixels; restore it")
@@ -108,7 +110,7 @@ def load_p_occupied(folder: pathlib.Path, scene_id: str) -> NDArray[np.float32]:
 
 
 def miss_rates_at_delta(scenes: Sequence[LoggedScene], folder: pathlib.Path, delta: float) -> dict[str, float]:
-    """Return the miss rate of each scene: the fraction of the true hand's pixels with p_occupied <= delta.
+    """Return the miss rate of each scene with a true mask: the fraction of the hand's pixels with p_occupied <= delta.
 
     For evaluation only: neither the ensemble nor the planner has the true mask.
 
@@ -119,5 +121,6 @@ def miss_rates_at_delta(scenes: Sequence[LoggedScene], folder: pathlib.Path, del
     for scene in scenes:
         p_occupied = load_p_occupied(folder, scene.id)
         mask = read_true_mask(scene, p_occupied.shape)
-        rates[scene.id] = float((p_occupied[mask > 0] <= delta).mean())
+        if mask is not None:
+            rates[scene.id] = float((p_occupied[mask > 0] <= delta).mean())
     return rates

@@ -45,15 +45,23 @@ class SafetyReport:
         """Verdicts of the executed scenes."""
         return [scene.verdict for scene in self.scenes if scene.verdict is not None]
 
-    def figures(self) -> dict[str, float]:
-        """Return the figures over all executions by name; lengths in meters."""
+    def figures(self) -> dict[str, float | None]:
+        """Return the figures over all executions by name; lengths in meters.
+
+        ``scenes_judged`` counts executions beside a true hand; only they count in ``scenes_safe`` and ``contacts``,
+        which is None if there are executions and none of them is judged. ``scenes_unsafe`` also counts executions
+        without a true hand that failed for another reason.
+        """
         verdicts = self.verdicts
-        found: dict[str, float] = {
+        contacts = [verdict.contacts for verdict in verdicts if verdict.contacts is not None]
+        found: dict[str, float | None] = {
             "scenes": len(self.scenes),
             "scenes_executed": len(verdicts),
             "scenes_completed": sum(verdict.completed for verdict in verdicts),
-            "scenes_safe": sum(verdict.safe for verdict in verdicts),
-            "contacts": sum(verdict.contacts for verdict in verdicts),
+            "scenes_judged": sum(verdict.hand_judged for verdict in verdicts),
+            "scenes_safe": sum(verdict.safe is True for verdict in verdicts),
+            "scenes_unsafe": sum(verdict.safe is False for verdict in verdicts),
+            "contacts": sum(contacts) if contacts or not verdicts else None,
         }
         if verdicts:
             poses = sum(verdict.poses for verdict in verdicts)
@@ -82,8 +90,8 @@ class SafetyReport:
         return {"motion_alpha": self.motion_alpha, "motions_that_kept_the_margin": kept}
 
 
-def read_figures(folder: str | pathlib.Path) -> dict[str, float]:
-    """Load the figures of the report in ``folder``.
+def read_figures(folder: str | pathlib.Path) -> dict[str, float | None]:
+    """Load the figures of the report in ``folder``; None: not judged.
 
     Raises:
         DataError: ``folder`` holds no report.

@@ -23,7 +23,7 @@ def _values(report: SafetyReport) -> dict[str, object]:
         "films": [scene for scene in report.scenes if scene.film],
         "margins_m": [scene.margin_m for scene in report.scenes],
         "number": _number,
-        "mm": lambda length_m: _number("{:.1f} mm", length_m, 1000, "no hand or no links"),
+        "mm": lambda length_m, missing="no links": _number("{:.1f} mm", length_m, 1000, missing),
     }
 
 

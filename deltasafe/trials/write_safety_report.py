@@ -32,7 +32,8 @@ def write_safety_report(
 
     Args:
         executions: folder that `execute_scenes` wrote.
-        n_films: number of filmed executions, those closest to the hand; unsafe ones are filmed in addition.
+        n_films: number of filmed executions, those closest to the hand, and after them those without a true hand;
+            unsafe ones are filmed in addition.
     """
     outcomes = {outcome.scene_id: outcome for outcome in load_outcomes(executions)}
     scenes = planned.scenes
@@ -51,7 +52,7 @@ def write_safety_report(
         for done, scene in enumerate((scene for scene in scenes if scene.id in filmed), start=1):
             film = temporary / f"{scene.id}.gif"
             execution = load_execution(executions, scene.id)
-            save_film(film, execution, scene.camera, scene.true_mesh(), table_z_m=scene.table_z_m)
+            save_film(film, execution, scene.camera, scene.mesh_if_known(), table_z_m=scene.table_z_m)
             progress(done, len(filmed), f"filmed {scene.id}")
         films = {name: f"{name}.gif" for name in filmed}
         reports = [dataclasses.replace(report, film=films.get(report.scene_id, "")) for report in reports]
@@ -102,5 +103,6 @@ def _scene_report(scene: LoggedScene, motion: PlannedMotion, verdict: SafetyVerd
 def _to_film(reports: list[SceneReport], n_films: int) -> set[str]:
     """Scenes of the executions closest to the hand, and of all unsafe ones."""
     verdicts = {report.scene_id: report.verdict for report in reports if report.verdict is not None}
-    closest = sorted(verdicts, key=lambda name: (verdicts[name].min_tool_to_hand_m or 0.0, name))
-    return {*closest[:n_films], *(name for name, verdict in verdicts.items() if not verdict.safe)}
+    distance_m = {name: verdict.min_tool_to_hand_m for name, verdict in verdicts.items()}
+    closest = sorted(distance_m, key=lambda name: (distance_m[name] is None, distance_m[name] or 0.0, name))
+    return {*closest[:n_films], *(name for name, verdict in verdicts.items() if verdict.safe is False)}

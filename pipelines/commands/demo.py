@@ -5,6 +5,7 @@ import os
 import pathlib
 import sys
 import time
+from typing import Any
 
 from deltasafe.io.storage import read_json, write_json
 from deltasafe.presets import VARIABLE
@@ -57,13 +58,13 @@ def _reports(root: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     return _folder(root, "calibration_report"), _folder(root, "safety_report")
 
 
-def _figures(root: pathlib.Path) -> dict[str, float]:
+def _figures(root: pathlib.Path) -> dict[str, Any]:
     from deltasafe.perception.calibration.report import CalibrationReport
     from deltasafe.trials.safety_report import read_figures
 
     calibration, safety = _reports(root)
     figures = {**CalibrationReport.load(calibration).figures(), **read_figures(safety)}
-    return {name: round(value, 6) for name, value in figures.items()}
+    return {name: None if value is None else round(value, 6) for name, value in figures.items()}
 
 
 def _seeds(root: pathlib.Path) -> dict[str, int]:
@@ -92,18 +93,23 @@ def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
     return latest_folder(root, asset)
 
 
-def _print_summary(root: pathlib.Path, figures: dict[str, float]) -> None:
+def _print_summary(root: pathlib.Path, figures: dict[str, Any]) -> None:
     calibration, safety = _reports(root)
     films = sorted(safety.glob("*.gif"))
+    unjudged = figures["scenes_executed"] - figures["scenes_judged"]
     print(f"\nDone in {figures['minutes_total']:.1f} minutes.\n")
     print(
         f"  {int(figures['n_members'])} members: pixel accuracy {figures['pa']:.4f}, mIoU {figures['miou']:.4f}, "
         f"NLL {figures['nll']:.4f}, Brier score {figures['bs']:.4f}"
     )
     print(
-        f"  {int(figures['scenes_executed'])} of {int(figures['scenes'])} scenes executed, "
-        f"{int(figures['scenes_safe'])} safe throughout, {int(figures['contacts'])} contacts with hand or table\n"
+        f"  {figures['scenes_executed']} of {figures['scenes']} scenes executed, "
+        f"{figures['scenes_safe']} safe throughout, "
+        f"contacts with hand or table: {'not judged' if figures['contacts'] is None else figures['contacts']}"
     )
+    if unjudged:
+        print(f"  contacts not judged in {unjudged} executed scenes, which have no true hand")
+    print()
     print(f"  calibration report  {calibration / 'report.md'}")
     print(f"  safety report       {safety / 'report.md'}")
     print(f"  films               {', '.join(str(film) for film in films) or 'none'}")

@@ -35,7 +35,8 @@ def record_pictures(
         pictures = {"augmentation": augmented.with_name(f"{augmented.name}-sheet.png")}
         filmed = [scene for scene in read_json(safety / "report.json")["scenes"] if scene["film"]]
         if filmed:
-            closest = min(filmed, key=lambda scene: scene["verdict"]["min_tool_to_hand_m"] or 0.0)
+            distance_m = [scene["verdict"]["min_tool_to_hand_m"] for scene in filmed]  # None: no true hand
+            closest = filmed[min(range(len(filmed)), key=lambda n: (distance_m[n] is None, distance_m[n] or 0.0))]
             shutil.copyfile(safety / closest["film"], temporary / "execution.gif")
             pictures["plan"] = safety / f"{closest['scene_id']}-plan.png"
         for name, path in pictures.items():

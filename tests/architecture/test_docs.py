@@ -86,7 +86,7 @@ def test_files_and_imports_on_a_page_exist(path):
 
 def test_every_decision_that_the_code_cites_exists():
     numbers = [int(number) for number in re.findall(r"^### D(\d+): ", page("explanation/decisions.md"), re.MULTILINE)]
-    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(set(numbers)) == len(numbers), "each number stands for one decision"
     cited = set()
     for path in [*sources(*PACKAGES), *sources("tests"), *ROOT.glob("*.toml")]:
         for group in re.findall(r"\b[Dd]ecisions? (\d+(?:(?:, | and )\d+)*)", path.read_text(encoding="utf-8")):

@@ -179,6 +179,8 @@ SAFE = {
         ({"scenes_safe": 1}, False, True),
         ({"scenes_executed": 0, "scenes_safe": 0}, False, True),
         ({"max_tracking_excess_m": 1e-6}, True, False),
+        ({"scenes_executed": 3, "scenes_judged": 2, "scenes_unsafe": 0}, True, True),
+        ({"scenes_executed": 3, "scenes_judged": 2, "scenes_unsafe": 1}, False, True),
     ],
     ids=str,
 )
@@ -189,6 +191,21 @@ def test_the_checks_of_the_safety_report_fail_for_their_own_reason(tmp_path, cha
     write_json(tmp_path / "report.json", {"figures": {**SAFE, **change}})
     assert executions_were_safe(tmp_path).passed == safe
     assert tracking_kept_its_bound(tmp_path).passed == tracked
+
+
+@pytest.mark.parametrize("n_unsafe", [0, 1])
+def test_motions_without_a_true_hand_neither_pass_nor_fail(tmp_path, n_unsafe):
+    from assets.checks import executions_were_safe
+    from deltasafe.io.storage import write_json
+
+    unjudged = {"contacts": None, "scenes_judged": 0, "scenes_safe": 0, "scenes_unsafe": n_unsafe}
+    write_json(tmp_path / "report.json", {"figures": SAFE | unjudged})
+    result = executions_were_safe(tmp_path)
+    assert not result.passed
+    assert result.severity == (dg.AssetCheckSeverity.ERROR if n_unsafe else dg.AssetCheckSeverity.WARN)
+    assert "not judged: contacts of 2 motions" in result.description
+    assert f"({n_unsafe} of them were unsafe for another reason)" in result.description
+    assert result.metadata["contacts"].value == "not judged"
 
 
 @pytest.mark.parametrize("whole", [True, False], ids=["all members in one run", "one member"])

@@ -96,6 +96,7 @@ def true_mask(scene: LoggedScene) -> NDArray[np.bool_]:
     """
     import cv2
 
+    assert scene.mask_path is not None  # `StudyInputs.gather` requires it
     mask = cv2.imdecode(np.fromfile(scene.mask_path, np.uint8), cv2.IMREAD_GRAYSCALE)
     if mask is None or not mask.any():
         raise DataError(scene.mask_path, "is not a mask of a hand (255 = hand); restore it")

@@ -57,7 +57,7 @@ class StudyInputs:
         """Collect the first ``n_scenes`` (0: all) scenes of each folder, and a frozen ensemble.
 
         Raises:
-            DataError: a folder holds no scene or a defective one.
+            DataError: a folder holds no scene, a defective one, or one without true mask and mesh.
             ArtifactError: the ensemble is incomplete or altered.
         """
         from deltasafe.perception.artifact.frozen_ensemble import verify_artifact
@@ -67,6 +67,11 @@ class StudyInputs:
         for folder in folders:
             for scene in load_scenes(folder)[: n_scenes or None]:
                 home = scene.image_path.parent
+                if scene.mask_path is None or scene.mesh_path is None:
+                    raise DataError(
+                        home / "scene.json",
+                        "names no true mask and mesh (ground_truth), by which the study judges; leave this scene out",
+                    )
                 files = (home / "scene.json", scene.image_path, scene.mask_path, scene.mesh_path)
                 found.append(SceneRef(str(home.resolve()), digest_of([sha256_of_file(file) for file in files])))
                 names.append(scene.id if len(folders) == 1 else f"{pathlib.Path(folder).name}/{scene.id}")

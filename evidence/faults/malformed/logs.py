@@ -9,7 +9,7 @@ from typing import Any
 
 from deltasafe.interchange import export_scene, import_scene
 from deltasafe.interchange.mcap_log import open_log, read_log
-from deltasafe.interchange.scenes import CALIBRATION, FACTS, GOAL, IMAGE, MASK, MESH, START, TRANSFORM
+from deltasafe.interchange.scenes import CALIBRATION, FACTS, GOAL, IMAGE, MESH, START, TRANSFORM
 from deltasafe.scene import LoggedScene
 from evidence.faults.malformed.documents import set_in
 from evidence.faults.malformed.files import file_cases, file_changes, filled
@@ -130,7 +130,6 @@ def _edits() -> dict[str, Change]:
     removed = {
         **{topic: ("messages", topic) for topic in SCHEMA},
         **{f"the fact {name}": ("facts", FACTS, name) for name in ("id", "table_z_m", "hand_height_m")},
-        **{name: ("files", name) for name in (MASK, MESH)},
     }
     return {
         **{f"without {name}": _edited(keys, remove=True) for name, keys in removed.items()},

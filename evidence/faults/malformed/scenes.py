@@ -24,12 +24,14 @@ from pipelines.home import DATASETS
 
 SCENE, MESH = "scene.json", "hand_mesh.npz"
 REQUIRED = [
-    *("id", "image", "camera", "table_z_m", "hand_height_m", "start", "goal", "ground_truth"),
-    *("ground_truth.mask", "ground_truth.mesh"),
+    *("id", "image", "camera", "table_z_m", "hand_height_m", "start", "goal"),
     *(f"{end}.{name}" for end in ("start", "goal") for name in ("position_m", "yaw_rad")),
     *(f"camera.{name}" for name in ("width", "height", "fx", "fy", "cx", "cy")),
     *("camera.position_m", "camera.world_from_camera_rotation"),
 ]
+
+OPTIONAL = ["ground_truth", "ground_truth.mask", "ground_truth.mesh"]
+"""Fields that may be missing, but not be of another type."""
 
 
 def copied_scene(home: pathlib.Path) -> pathlib.Path:
@@ -50,7 +52,8 @@ def scene_cases(valid: pathlib.Path) -> list[Case]:
 
     kind = InputKind("scene", valid, lambda given, out: LoggedScene.load(given), command)
     record = json.loads((valid / SCENE).read_text())
-    changes = {**document_changes(), **dict(field_changes(record, REQUIRED)), **_values()}
+    optional = {name: change for name, change in field_changes(record, OPTIONAL) if not name.startswith("without")}
+    changes = {**document_changes(), **dict(field_changes(record, REQUIRED)), **optional, **_values()}
     missing = {name: changes.pop(name) for name in NOT_A_FILE}
     corruptions = prefixed(SCENE, changes, target)
     # the command looks for the file first, and reports the folder if there is none

@@ -114,6 +114,18 @@ def test_a_contact_or_a_stop_is_not_safe(changes):
     assert not verdict_of(recording(LINE, **changes)).safe
 
 
+@pytest.mark.parametrize(
+    ("changes", "safe"),
+    [({}, None), ({"stop_reason": "workspace error"}, False), ({"contacts": np.eye(1, 201, 7, dtype=int)[0]}, False)],
+)
+def test_without_a_hand_only_what_needs_none_is_judged(changes, safe):
+    verdict = verdict_of(recording(LINE, tool_to_hand_m=np.full(201, np.inf), **changes))
+    assert (verdict.safe, verdict.hand_judged) == (safe, False)
+    assert (verdict.contacts, verdict.min_tool_to_hand_m, verdict.min_arm_to_hand_m) == (None, None, None)
+    assert verdict.table_contacts == np.sum(changes.get("contacts", 0))
+    assert (verdict.whole_motion_delta_safe, verdict.share_within_bound) == (True, 1.0)
+
+
 def test_verdict_is_json():
     verdict = verdict_of(recording(LINE), 0.3)
     record = json.loads(json.dumps(dataclasses.asdict(verdict), allow_nan=False))

@@ -1,5 +1,6 @@
 """MCAP: round trips of scenes and executions, schemas for viewers, and damaged files."""
 
+import dataclasses
 import importlib.util
 import json
 import pathlib
@@ -54,6 +55,16 @@ def test_an_imported_scene_equals_the_exported_one(tmp_path):
         assert getattr(back.camera, name) == getattr(SCENE.camera, name)
     np.testing.assert_array_equal(back.camera.position_m, SCENE.camera.position_m)
     np.testing.assert_array_equal(back.camera.world_from_camera_rotation, SCENE.camera.world_from_camera_rotation)
+    assert (back.start, back.goal) == (SCENE.start, SCENE.goal)
+
+
+@needs_mcap
+def test_a_scene_without_ground_truth_is_exported_and_imported(tmp_path):
+    bare = dataclasses.replace(SCENE, mask_path=None, mesh_path=None)
+    export_scene(bare, tmp_path / "scene.mcap")
+    assert "/truth/hand" not in read_log(tmp_path / "scene.mcap").messages
+    back = import_scene(tmp_path / "scene.mcap", tmp_path / "scene")
+    assert (back.mask_path, back.mesh_path) == (None, None)
     assert (back.start, back.goal) == (SCENE.start, SCENE.goal)
 
 

@@ -69,13 +69,32 @@ def test_scene_is_read_with_its_mesh(tmp_path: pathlib.Path) -> None:
         ({"table_z_m": 1.0}, "above the table"),
         ({"start": {"position_m": [-150, 0, 30], "yaw_rad": 0}}, "meters and radians"),
         ({"goal": POSE | {"yaw_rad": 90.0}}, "meters and radians"),
-        ({"ground_truth": {"mask": "hand_mask.png"}}, "mesh is missing"),
+        ({"ground_truth": {"mask": "hand_mask.png", "mesh": None}}, "mesh must be the name"),
+        ({"ground_truth": {"mesh": "lost.npz"}}, "is missing"),
+        ({"ground_truth": {}}, "leave it out"),
+        ({"ground_truth": None}, "leave it out"),
     ],
 )
 def test_errors_name_file_and_field(tmp_path: pathlib.Path, changes: dict, words: str) -> None:
     with pytest.raises(DataError, match=words) as caught:
         LoggedScene.load(write(tmp_path / "scene_000", **changes))
     assert "scene_000" in str(caught.value)
+
+
+@pytest.mark.parametrize("known", [(), ("mask",), ("mesh",)])
+def test_true_mask_and_mesh_are_optional(tmp_path: pathlib.Path, known: tuple) -> None:
+    names = {"mask": "hand_mask.png", "mesh": "hand_mesh.npz"}
+    folder = write(tmp_path / "scene_000", **({"ground_truth": {name: names[name] for name in known}} if known else {}))
+    if not known:
+        record = json.loads((folder / "scene.json").read_text())
+        del record["ground_truth"]
+        (folder / "scene.json").write_text(json.dumps(record))
+    scene = LoggedScene.load(folder)
+    assert (scene.mask_path is not None, scene.mesh_path is not None) == ("mask" in known, "mesh" in known)
+    assert (scene.mesh_if_known() is None) == ("mesh" not in known)
+    if "mesh" not in known:
+        with pytest.raises(DataError, match="contacts cannot be judged"):
+            scene.true_mesh()
 
 
 @pytest.mark.parametrize("triangles", [[[0, 1, 3]], [[-1, 1, 2]], [[0.5, 1, 2]]])
