@@ -1,4 +1,4 @@
-"""Command line: verify, sign and use a frozen ensemble; export and import logs for robotics viewers."""
+"""Command line: verify, sign, evaluate and use a frozen ensemble; export and import logs for robotics viewers."""
 
 import argparse
 import pathlib
@@ -51,6 +51,18 @@ def _parser() -> argparse.ArgumentParser:
         "(default: IMAGE.p_occupied.png in the current folder)",
     )
     predict.add_argument("--delta", type=_probability, default=0.05, help="level of the drawn contour (default 0.05)")
+
+    evaluate = commands.add_parser("evaluate", help="evaluate an ensemble on a folder of labeled images")
+    evaluate.set_defaults(run=_evaluate)
+    evaluate.add_argument("ensemble", type=path, help="folder of the frozen ensemble")
+    evaluate.add_argument("folder", type=path, help="labeled images (images/, masks/, optionally ignore/)")
+    evaluate.add_argument(
+        "-o",
+        "--output",
+        type=path,
+        help="folder to write the report to (default: FOLDER-evaluation in the current one)",
+    )
+    evaluate.add_argument("--delta", type=_probability, default=0.05, help="delta of planning (default 0.05)")
 
     export = commands.add_parser("export", help="write an execution or a scene as an MCAP log")
     export.set_defaults(run=_export)
@@ -117,6 +129,30 @@ def _import(options: argparse.Namespace) -> None:
     from deltasafe.interchange import import_scene
 
     print(f"{options.folder}: {import_scene(options.log, options.folder).id}")
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
+    from deltasafe.perception.evaluate_folder import evaluate_folder
+
+    def show(done: int, total: int, message: str) -> None:
+        if sys.stderr.isatty():
+            print(
+                f"\r\033[K{done} of {total}: {message}", end="\n" if done == total else "", file=sys.stderr, flush=True
+            )
+
+    folder = options.folder.resolve()
+    output = options.output or pathlib.Path(f"{folder.name}-evaluation")
+    report = evaluate_folder(
+        load_ensemble(options.ensemble), folder, output, planning_delta=options.delta, progress=show
+    )
+    scores, supported = report.final.predictor.scores, report.smallest_supported_delta
+    print(
+        f"{len(report.image_ids)} images: pixel accuracy {scores.pixel_accuracy:.4f}, mIoU {scores.miou:.4f}, "
+        f"NLL {scores.nll:.4f}, Brier score {scores.brier:.4f}; "
+        f"smallest supported delta: {'none' if supported is None else f'{supported:g}'}"
+    )
+    print(f"{output / 'report.md'}: the report\n{output / 'metrics.json'}: its figures, also per image")
 
 
 def _predict(options: argparse.Namespace) -> None:

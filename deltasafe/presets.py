@@ -5,9 +5,15 @@ import os
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution.settings import ExecutionSettings
-from deltasafe.perception.calibration.report import CalibrationSettings, GateThresholds
+from deltasafe.perception.calibration.report import CalibrationSettings
 from deltasafe.perception.data.augmentation.settings import AugmentationSettings
-from deltasafe.perception.settings import InferenceSettings, NetworkSettings, PromotionSettings, TrainingSettings
+from deltasafe.perception.settings import (
+    GateThresholds,
+    InferenceSettings,
+    NetworkSettings,
+    PromotionSettings,
+    TrainingSettings,
+)
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import FieldSettings
 from deltasafe.setting_ranges import check_range

@@ -12,12 +12,14 @@ if TYPE_CHECKING:
     from deltasafe.io.images import read_rgb
     from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble, golden_difference, load_ensemble
     from deltasafe.perception.calibration.delta_support import require_supported_delta
-    from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, GateThresholds, gate
+    from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, gate
     from deltasafe.perception.data.augmentation.settings import AugmentationSettings
     from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
+    from deltasafe.perception.data.dataset_info import DatasetInfo
     from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
     from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble, freeze_ensemble
-    from deltasafe.perception.settings import InferenceSettings, NetworkSettings, TrainingSettings
+    from deltasafe.perception.evaluate_folder import evaluate_folder
+    from deltasafe.perception.settings import GateThresholds, InferenceSettings, NetworkSettings, TrainingSettings
     from deltasafe.perception.training.member import Member
     from deltasafe.perception.training.train_ensemble import train_ensemble
 
@@ -26,6 +28,7 @@ __all__ = [
     "AugmentedSet",
     "CalibrationReport",
     "CalibrationSettings",
+    "DatasetInfo",
     "EvaluationSettings",
     "FrozenEnsemble",
     "GateThresholds",
@@ -37,6 +40,7 @@ __all__ = [
     "augment_images",
     "check_disjoint",
     "evaluate_ensemble",
+    "evaluate_folder",
     "freeze_ensemble",
     "gate",
     "golden_difference",
@@ -50,12 +54,14 @@ _HOMES = {
     ".io.images": ["read_rgb"],
     "artifact.frozen_ensemble": ["FrozenEnsemble", "golden_difference", "load_ensemble"],
     "calibration.delta_support": ["require_supported_delta"],
-    "calibration.report": ["CalibrationReport", "CalibrationSettings", "GateThresholds", "gate"],
+    "calibration.report": ["CalibrationReport", "CalibrationSettings", "gate"],
     "data.augmentation.settings": ["AugmentationSettings"],
     "data.augmented_set": ["AugmentedSet", "augment_images"],
+    "data.dataset_info": ["DatasetInfo"],
     "data.labeled_images": ["LabeledImageSet", "check_disjoint"],
     "evaluate_and_freeze": ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"],
-    "settings": ["InferenceSettings", "NetworkSettings", "TrainingSettings"],
+    "evaluate_folder": ["evaluate_folder"],
+    "settings": ["GateThresholds", "InferenceSettings", "NetworkSettings", "TrainingSettings"],
     "training.member": ["Member"],
     "training.train_ensemble": ["train_ensemble"],
 }

@@ -75,7 +75,7 @@ def evaluate_ensemble(
     if calibration_images is not None:
         destination = folder.with_name(f"{folder.name}-calibration-predictions")
         calibration = _labeled_predictions(ensemble, calibration_images, destination, progress)
-    report = evaluate(evaluated, settings.calibration, calibration, progress)
+    report = evaluate(evaluated, settings.calibration, calibration, progress, test.info)
     write_calibration_report(folder, report, evaluated, _image_loader(test))
     record = {
         "members": _weights(members),
@@ -116,9 +116,10 @@ def freeze_ensemble(
     data = {"test_images": record["test_digest"]}
     if "calibration_digest" in record:
         data["calibration_images"] = record["calibration_digest"]
-    calibration = CalibrationReport.load(report_folder).calibration
+    report = CalibrationReport.load(report_folder)
     inference = from_json(InferenceSettings, record["inference"])
-    return write_frozen_ensemble(list(members), inference, calibration, golden_rgb, pathlib.Path(parent), data)
+    parent = pathlib.Path(parent)
+    return write_frozen_ensemble(list(members), inference, report.calibration, golden_rgb, parent, data, report.info)
 
 
 def predict_images(

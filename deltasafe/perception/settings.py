@@ -136,6 +136,23 @@ class InferenceSettings:
 
 
 @dataclasses.dataclass(frozen=True)
+class GateThresholds:
+    """Requirements for freezing an ensemble.
+
+    Attributes:
+        pixel_accuracy, miou: smallest allowed values of the whole ensemble.
+        missed_hand_rate: largest allowed fraction of a hand with p_occupied < 0.5 in any image; 1 allows any fraction.
+    """
+
+    pixel_accuracy: float = 0.9
+    miou: float = 0.8
+    missed_hand_rate: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_range(self, "[0, 1]", "pixel_accuracy", "miou", "missed_hand_rate")
+
+
+@dataclasses.dataclass(frozen=True)
 class PromotionSettings:
     """Non-inferiority test that a new ensemble must pass to replace the champion (decision 36).
 

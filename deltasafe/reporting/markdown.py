@@ -15,9 +15,9 @@ def plus_minus(mean: float, sd: float | None) -> str:
     return f"{mean:.4f}" if sd is None else f"{mean:.4f} ± {sd:.4f}"
 
 
-def percent(value: float | None) -> str:
-    """Format a fraction of a hand; None stands for an image without a hand."""
-    return "no hand" if value is None else f"{value:.2%}"
+def percent(value: float | None, none: str = "-") -> str:
+    """Format a fraction; ``none`` stands for None."""
+    return none if value is None else f"{value:.2%}"
 
 
 def number(value: float | None, form: str, missing: str = "") -> str:

@@ -18,10 +18,16 @@ from numpy.typing import NDArray
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import atomic_file, atomic_folder, sha256_of_file, write_json
-from deltasafe.perception.artifact.manifest import load_manifest, new_manifest, settings_of_manifest
+from deltasafe.perception.artifact.manifest import (
+    info_of_manifest,
+    load_manifest,
+    new_manifest,
+    settings_of_manifest,
+)
 from deltasafe.perception.artifact.model_card import model_card
 from deltasafe.perception.artifact.onnx_export import export_onnx
 from deltasafe.perception.calibration.delta_support import Calibration
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
 from deltasafe.perception.inference.backends import InferenceBackend, load_program, select_backend
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.settings import InferenceSettings
@@ -41,6 +47,7 @@ class FrozenEnsemble(Ensemble):
         folder: absolute path.
         manifest: content of `manifest.json`.
         calibration: content of `calibration.json`.
+        info: what its test images show.
         backend: computes the logits.
     """
 
@@ -50,6 +57,7 @@ class FrozenEnsemble(Ensemble):
         self.folder = folder.absolute()  # the working directory may change before the program is loaded on first use
         self.manifest = manifest
         self.calibration = Calibration.load(folder / "calibration.json")
+        self.info = info_of_manifest(folder, manifest)
         network, inference = settings_of_manifest(folder, manifest)
         if self.calibration.n_members != manifest["n_members"]:
             raise ArtifactError(
@@ -79,6 +87,7 @@ def write_frozen_ensemble(
     golden_rgb: NDArray[np.uint8],
     parent: str | pathlib.Path,
     provenance: dict[str, str] | None = None,
+    info: DatasetInfo = HANDS,
 ) -> pathlib.Path:
     """Freeze ``members`` into a subfolder of ``parent`` that is named by the digest of its content.
 
@@ -91,6 +100,7 @@ def write_frozen_ensemble(
         golden_rgb: (H, W, 3) uint8, the golden image.
         parent: folder of artifacts.
         provenance: further digests, by name.
+        info: what the images of the calibration show.
 
     Raises:
         SettingsError: no members, members of different networks, or a calibration of another M.
@@ -111,9 +121,9 @@ def write_frozen_ensemble(
         with atomic_file(temporary / "golden.npz") as file:
             np.savez(file, rgb=golden_rgb, p_occupied=ensemble.p_occupied(golden_rgb))
         export_onnx(ensemble, temporary / "ensemble.onnx")
-        manifest = new_manifest(members, names, inference, provenance or {})
+        manifest = new_manifest(members, names, inference, provenance or {}, info)
         with atomic_file(temporary / "model_card.md") as file:
-            file.write_text(model_card(manifest, calibration), encoding="utf-8")
+            file.write_text(model_card(manifest, calibration, info), encoding="utf-8")
         manifest["files"] = {path.name: sha256_of_file(path) for path in sorted(temporary.iterdir()) if path.is_file()}
         write_json(temporary / "manifest.json", manifest)
         destination = parent / artifact_name(temporary)

@@ -10,6 +10,7 @@ from deltasafe.compute.code_digest import digest_of_package
 from deltasafe.errors import ArtifactError, DataError
 from deltasafe.io.records import from_json
 from deltasafe.io.storage import read_json
+from deltasafe.perception.data.dataset_info import DatasetInfo
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
 
@@ -24,7 +25,11 @@ _MAX_MEMBERS = 1000
 
 
 def new_manifest(
-    members: Sequence[Member], names: Sequence[str], inference: InferenceSettings, provenance: Mapping[str, str]
+    members: Sequence[Member],
+    names: Sequence[str],
+    inference: InferenceSettings,
+    provenance: Mapping[str, str],
+    info: DatasetInfo,
 ) -> dict[str, Any]:
     """Build the manifest of ``members``, stored in files ``names``; the digests of all files are still missing."""
     return {
@@ -32,7 +37,9 @@ def new_manifest(
         "n_members": len(members),
         "members": list(names),
         "seeds": [member.seed for member in members],
-        "class": "p_occupied: probability that a pixel shows a hand or forearm (masks: 255 = hand)",
+        "class": f"p_occupied: probability that a pixel shows {info.marked_with_article} "
+        f"(masks: 255 = {info.singular})",
+        **({} if info.is_default else {"dataset": dataclasses.asdict(info)}),
         "preprocessing": "RGB uint8; scaled to the inference size at each scale (area or bilinear); ImageNet "
         "statistics are applied inside the network",
         "network": dataclasses.asdict(members[0].network_settings),
@@ -60,6 +67,19 @@ def load_manifest(folder: pathlib.Path) -> dict[str, Any]:
     if problems := _problems(manifest):
         raise ArtifactError(path, f"{problems[0]}; pull the artifact again")
     return dict(manifest)
+
+
+def info_of_manifest(folder: pathlib.Path, manifest: Mapping[str, Any]) -> DatasetInfo:
+    """Return what the test images of the ensemble show.
+
+    Raises:
+        ArtifactError: the entry is invalid.
+    """
+    path = folder / "manifest.json"
+    try:
+        return DatasetInfo.from_record(manifest.get("dataset", {}), path)
+    except DataError as error:
+        raise ArtifactError(path, f"has no valid entry dataset ({error.reason}); pull the artifact again") from error
 
 
 def settings_of_manifest(

@@ -26,6 +26,9 @@ from deltasafe.perception.calibration.reliability import (
 from deltasafe.perception.calibration.report import PredictorResult
 from deltasafe.perception.calibration.temperature import LogitCounts, logit_counts
 
+Probability = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
 
 @dataclasses.dataclass
 class PredictorAccumulator:
@@ -35,11 +38,12 @@ class PredictorAccumulator:
     confidence: list[BinCounts] = dataclasses.field(default_factory=list)
     margins: list[BinCounts] = dataclasses.field(default_factory=list)
 
-    def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
-        """Add one image, both arguments (H, W)."""
-        self.scores.append(score_image(p_occupied, label))
-        self.confidence.append(confidence_counts(p_occupied, label))
-        self.margins.append(margin_counts(p_occupied, label))
+    def add(self, p_occupied: Probability, label: Mask, valid: Mask | None = None) -> None:
+        """Add one image, all arguments (H, W); pixels outside ``valid`` do not count."""
+        pixels = valid_pixels(p_occupied, label, valid)
+        self.scores.append(score_image(*pixels))
+        self.confidence.append(confidence_counts(*pixels))
+        self.margins.append(margin_counts(*pixels))
 
     def result(self, weights: NDArray[np.int64], level: float) -> PredictorResult:
         """Pool the images; intervals of coverage ``level`` come from (R, N) bootstrap weights."""
@@ -62,10 +66,10 @@ class SafetyAccumulator:
     counts: list[BinCounts] = dataclasses.field(default_factory=list)
     hausdorff: list[NDArray[np.float64]] = dataclasses.field(default_factory=list)
 
-    def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
-        """Add one image, both arguments (H, W)."""
-        self.counts.append(safety_counts(p_occupied, label))
-        self.hausdorff.append(hausdorff_at_delta(p_occupied, label))
+    def add(self, p_occupied: Probability, label: Mask, valid: Mask | None = None) -> None:
+        """Add one image, all arguments (H, W); pixels outside ``valid`` do not count."""
+        self.counts.append(safety_counts(*valid_pixels(p_occupied, label, valid)))
+        self.hausdorff.append(hausdorff_at_delta(p_occupied, label if valid is None else label & valid))
 
 
 @dataclasses.dataclass
@@ -76,13 +80,13 @@ class EnsembleAccumulator(PredictorAccumulator):
     background: list[BinCounts] = dataclasses.field(default_factory=list)
     safety: SafetyAccumulator = dataclasses.field(default_factory=SafetyAccumulator)
 
-    def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
-        """Add one image, both arguments (H, W)."""
-        super().add(p_occupied, label)
-        hand, background = class_counts(p_occupied, label)
+    def add(self, p_occupied: Probability, label: Mask, valid: Mask | None = None) -> None:
+        """Add one image, all arguments (H, W); pixels outside ``valid`` do not count."""
+        super().add(p_occupied, label, valid)
+        hand, background = class_counts(*valid_pixels(p_occupied, label, valid))
         self.hand.append(hand)
         self.background.append(background)
-        self.safety.add(p_occupied, label)
+        self.safety.add(p_occupied, label, valid)
 
 
 @dataclasses.dataclass
@@ -92,10 +96,11 @@ class FitAccumulator:
     logits: list[LogitCounts] = dataclasses.field(default_factory=list)
     missed: list[NDArray[np.float64]] = dataclasses.field(default_factory=list)
 
-    def add(self, p_occupied: NDArray[np.float64], label: NDArray[np.bool_]) -> None:
-        """Add one image, both arguments (H, W)."""
-        self.logits.append(logit_counts(p_occupied, label))
-        missed = missed_fractions(p_occupied, label)
+    def add(self, p_occupied: Probability, label: Mask, valid: Mask | None = None) -> None:
+        """Add one image, all arguments (H, W); pixels outside ``valid`` do not count."""
+        pixels = valid_pixels(p_occupied, label, valid)
+        self.logits.append(logit_counts(*pixels))
+        missed = missed_fractions(*pixels)
         if missed is not None:
             self.missed.append(missed)
 
@@ -103,3 +108,8 @@ class FitAccumulator:
     def losses(self) -> NDArray[np.float64]:
         """(n, K) `missed_fractions` of the n images with a hand."""
         return np.reshape(self.missed, (-1, len(THRESHOLD_GRID)))
+
+
+def valid_pixels(p_occupied: Probability, label: Mask, valid: Mask | None) -> tuple[Probability, Mask]:
+    """Select the pixels that count, as arrays (1, n): scores do not depend on the places of the pixels."""
+    return (p_occupied, label) if valid is None else (p_occupied[valid][None], label[valid][None])

@@ -196,19 +196,18 @@ def with_infinity(rows: tuple[tuple[float | None, ...], ...]) -> NDArray[np.floa
     return np.array([[np.inf if value is None else value for value in row] for row in rows])
 
 
-def margin_sentence(margins: ConformalMargins | None) -> str:
-    """Write a paragraph on the margin at delta = 0.05 for the model card; empty without margins."""
+def margin_sentence(margins: ConformalMargins | None, thing: str = "hand") -> str:
+    """Write a paragraph on the margin at delta = 0.05 around a ``thing`` for the model card; empty without margins."""
     if margins is None:
         return ""
     margin = margins.margin(_STATED_DELTA, margins.stated_alpha)
     basis = f"split conformal prediction on {margins.n_images} image{'' if margins.n_images == 1 else 's'}"
     if math.isinf(margin.fraction_of_width):
-        return (
-            f"\n\nNo finite margin around the pixels with `p_occupied > {margin.delta:g}` contains the hand ({basis})."
-        )
+        unsafe = f"`p_occupied > {margin.delta:g}`"
+        return f"\n\nNo finite margin around the pixels with {unsafe} contains the {thing} ({basis})."
     return (
         f"\n\nThe pixels with `p_occupied > {margin.delta:g}`, dilated by **{margin.fraction_of_width:.2%}** of the "
-        f"image's width, contain the whole hand in a new image like these with a probability of at least "
+        f"image's width, contain the whole {thing} in a new image like these with a probability of at least "
         f"**{1 - margin.alpha:.3g}** ({basis}). The planner keeps this margin if `motion_alpha` is set."
     )
 

@@ -50,7 +50,7 @@ def conformal_margin_figure(report: CalibrationReport, worst: Overlay | None = N
     else:
         left, axes = figure.subplots(1, 2, width_ratios=[1.1, 1])
         farthest = report.final.hausdorff_at(report.grid_delta)[report.image_ids.index(worst.image_id)]
-        _draw_image(left, worst, margin, farthest)
+        _draw_image(left, worst, margin, farthest, report.info.singular)
     _draw_margins(axes, margins, sorted({*_DELTAS, report.grid_delta}))
     return figure
 
@@ -80,8 +80,8 @@ def _draw_margins(axes: Axes, margins: ConformalMargins, deltas: list[float]) ->
     style_axes(axes)
 
 
-def _draw_image(axes: Axes, worst: Overlay, margin: ConformalMargin, farthest: float) -> None:
-    """Draw the hand and what covers it; ``farthest`` is the score of the image in the report."""
+def _draw_image(axes: Axes, worst: Overlay, margin: ConformalMargin, farthest: float, thing: str) -> None:
+    """Draw the obstacle and what covers it; ``farthest`` is the score of the image in the report."""
     p_occupied, hand = require_labeled_prediction(worst.p_occupied, worst.label)
     distance = distance_to_unsafe_px(p_occupied > margin.delta) / hand.shape[1]
     covered = distance <= margin.fraction_of_width
@@ -99,11 +99,11 @@ def _draw_image(axes: Axes, worst: Overlay, margin: ConformalMargin, farthest: f
     )
     axes.set_axis_off()
     handles = [
-        Line2D([], [], color=_HAND, label="hand (label)"),
+        Line2D([], [], color=_HAND, label=f"{thing} (label)"),
         Line2D([], [], color="gray", label=f"$p_\\mathrm{{occupied}} > {margin.delta:g}$ (white)"),
         Line2D([], [], color="gray", ls="--", label=f"with margin, alpha = {margin.alpha:.2g}"),
-        Patch(facecolor=ORANGE, label="hand covered by the margin"),
-        Patch(facecolor=RED, label="hand not covered"),
+        Patch(facecolor=ORANGE, label=f"{thing} covered by the margin"),
+        Patch(facecolor=RED, label=f"{thing} not covered"),
     ]
     axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=3, frameon=False, fontsize=8)
 

@@ -40,7 +40,7 @@ from deltasafe.perception.calibration.reliability import (
     reliability_curve,
     stack_counts,
 )
-from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, EvaluationResult
+from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, EvaluationResult, FrozenFit
 from deltasafe.perception.calibration.temperature import (
     apply_temperature,
     cross_fitted_temperatures,
@@ -49,6 +49,7 @@ from deltasafe.perception.calibration.temperature import (
     pooled_probability,
     stack_logit_counts,
 )
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
 
 _ALPHAS = (0.02, 0.03, 0.05, 0.1)
 
@@ -58,6 +59,8 @@ def evaluate(
     settings: CalibrationSettings | None = None,
     calibration: LabeledPredictions | None = None,
     progress: Progress = silent,
+    info: DatasetInfo = HANDS,
+    frozen: FrozenFit | None = None,
 ) -> CalibrationReport:
     """Evaluate the members, the ensembles of growing size, and the calibrated ensemble on labeled images.
 
@@ -66,6 +69,9 @@ def evaluate(
         settings: intervals, folds, and what is fitted.
         calibration: further images of the same members, to fit temperature, delta and threshold on. Without them, each
             fold of ``images`` is evaluated by fits on the other folds.
+        progress: called twice per image.
+        info: what the images show.
+        frozen: of an ensemble that was frozen before. It is evaluated with its own temperature; none is fitted.
 
     Raises:
         SettingsError: more folds than images, predictions of another number of members, or values that are no masks or
@@ -74,18 +80,24 @@ def evaluate(
     settings = settings or CalibrationSettings()
     n_fitted = len(calibration or images)
     settings.require_images(n_fitted)
-    done, total = itertools.count(1), 2 * (len(images) + len(calibration or ()))  # every image is read twice
+    n_passes = 2 if frozen is None else 1
+    done, total = itertools.count(1), n_passes * (len(images) + len(calibration or ()))
     run = _Evaluation(images, calibration, settings, lambda message: progress(next(done), total, message))
-    members, smaller, whole, test_fit = run.score()
-    fit, fitted_on = test_fit, whole.safety
+    scored = run.score(None if frozen is None else frozen.temperature)
+    fit, fitted_on = scored.fit, scored.whole.safety
     if calibration is not None:
-        fit, fitted_on = run.accumulate_fit(calibration, len(members))
-    uncalibrated = run.result(whole, 1.0, np.ones(len(images)), fitted_on)
-    calibrated = run.calibrated(fit) if n_fitted > 1 else None
+        fit, fitted_on = run.accumulate_fit(calibration, len(scored.members))
+    uncalibrated = run.result(scored.whole, 1.0, np.ones(len(images)), fitted_on)
+    calibrated: EvaluationResult | None
+    if frozen is not None:
+        applied = np.full(len(images), frozen.temperature)
+        calibrated = run.result(scored.frozen, frozen.temperature, applied, scored.frozen.safety)
+    else:
+        calibrated = run.calibrated(fit) if n_fitted > 1 else None
     used = calibrated.temperature if settings.recalibrate and calibrated is not None else 1.0
     member_results, smaller_results = (
         tuple(predictor.result(run.weights, settings.level) for predictor in predictors)
-        for predictors in (members, smaller)
+        for predictors in (scored.members, scored.smaller)
     )
     return CalibrationReport(
         settings=settings,
@@ -96,8 +108,29 @@ def evaluate(
         ensembles=(*smaller_results, uncalibrated.predictor),
         uncalibrated=uncalibrated,
         calibrated=calibrated,
-        risk=_risk_control(fit.losses, None if calibration is None else test_fit.losses, used, settings),
+        risk=_risk_control(fit.losses, None if calibration is None else scored.fit.losses, used, settings),
+        info=info,
+        frozen=frozen,
     )
+
+
+@dataclasses.dataclass
+class _Scored:
+    """Sums over the test images.
+
+    Attributes:
+        members: of each member.
+        smaller: of the means of the first 1, .., M - 1 members.
+        whole: of the mean of all M members.
+        frozen: of the same with the temperature of a frozen ensemble; empty without one.
+        fit: counts of the mean, to fit temperature and threshold on.
+    """
+
+    members: list[PredictorAccumulator] = dataclasses.field(default_factory=list)
+    smaller: list[PredictorAccumulator] = dataclasses.field(default_factory=list)
+    whole: EnsembleAccumulator = dataclasses.field(default_factory=EnsembleAccumulator)
+    frozen: EnsembleAccumulator = dataclasses.field(default_factory=EnsembleAccumulator)
+    fit: FitAccumulator = dataclasses.field(default_factory=FitAccumulator)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,40 +145,34 @@ class _Evaluation:
         """Bootstrap samples of the images, shared by all intervals."""
         return bootstrap_weights(len(self.images), self.settings.n_bootstrap, self.settings.seed)
 
-    def score(
-        self,
-    ) -> tuple[list[PredictorAccumulator], list[PredictorAccumulator], EnsembleAccumulator, FitAccumulator]:
-        """Read the test images once, at T = 1.
-
-        Returns:
-            sums of each member; of the means of the first 1, .., M - 1 members; of the mean of all M members; and the
-            counts of this mean to fit temperature and threshold on.
-        """
-        members: list[PredictorAccumulator] = []
-        smaller: list[PredictorAccumulator] = []
-        whole, fit = EnsembleAccumulator(), FitAccumulator()
-        for image_id, (label, p_members) in zip(self.images.image_ids, self.images.checked(), strict=True):
-            members = members or [PredictorAccumulator() for _ in p_members]
-            smaller = smaller or [PredictorAccumulator() for _ in p_members[1:]]
-            for member, p_member in zip(members, p_members, strict=True):
-                member.add(p_member, label)
-            for m, ensemble in enumerate(smaller, 1):
-                ensemble.add(pooled_probability(p_members[:m]), label)
+    def score(self, temperature: float | None) -> _Scored:
+        """Read the test images once, at T = 1 and, if it is given, at the ``temperature`` of a frozen ensemble."""
+        sums = _Scored()
+        for image_id, (label, p_members, valid) in zip(self.images.image_ids, self.images.checked(), strict=True):
+            sums.members = sums.members or [PredictorAccumulator() for _ in p_members]
+            sums.smaller = sums.smaller or [PredictorAccumulator() for _ in p_members[1:]]
+            for member, p_member in zip(sums.members, p_members, strict=True):
+                member.add(p_member, label, valid)
+            for m, ensemble in enumerate(sums.smaller, 1):
+                ensemble.add(pooled_probability(p_members[:m]), label, valid)
             p_occupied = pooled_probability(p_members)
-            whole.add(p_occupied, label)
-            fit.add(p_occupied, label)
+            sums.whole.add(p_occupied, label, valid)
+            sums.fit.add(p_occupied, label, valid)
+            if temperature is not None:
+                sums.frozen.add(pooled_probability(p_members, temperature), label, valid)
             self.step(f"evaluated {image_id}")
-        return members, smaller, whole, fit
+        return sums
 
     def accumulate_fit(
         self, calibration: LabeledPredictions, n_members: int
     ) -> tuple[FitAccumulator, SafetyAccumulator]:
         """Read the calibration images once, at T = 1."""
         fit, safety = FitAccumulator(), SafetyAccumulator()
-        for image_id, (label, p_members) in zip(calibration.image_ids, calibration.checked(n_members), strict=True):
+        checked = zip(calibration.image_ids, calibration.checked(n_members), strict=True)
+        for image_id, (label, p_members, valid) in checked:
             p_occupied = pooled_probability(p_members)
-            fit.add(p_occupied, label)
-            safety.add(p_occupied, label)
+            fit.add(p_occupied, label, valid)
+            safety.add(p_occupied, label, valid)
             self.step(f"calibrated on {image_id}")
         return fit, safety
 
@@ -157,15 +184,13 @@ class _Evaluation:
         applied = cross_fitted if self.calibration is None else np.full(len(self.images), temperature)
         whole = EnsembleAccumulator()
         for index, image_id in enumerate(self.images.image_ids):
-            label, p_occupied = self.images.pooled(index, applied[index])
-            whole.add(p_occupied, label)
+            whole.add(*self.images.pooled(index, applied[index]))
             self.step(f"evaluated {image_id} at T = {applied[index]:.3f}")
         if self.calibration is None:
             return self.result(whole, temperature, applied, whole.safety)
         fitted_on = SafetyAccumulator()
         for index, image_id in enumerate(self.calibration.image_ids):
-            label, p_occupied = self.calibration.pooled(index, cross_fitted[index])
-            fitted_on.add(p_occupied, label)
+            fitted_on.add(*self.calibration.pooled(index, cross_fitted[index]))
             self.step(f"evaluated {image_id} at T = {cross_fitted[index]:.3f}")
         return self.result(whole, temperature, applied, fitted_on)
 

@@ -28,11 +28,14 @@ class LabeledPredictions:
         image_ids: N unique names.
         labels: N masks (H, W), bool or 0/255; sizes may differ between images.
         predictions: of the N images; read one at a time.
+        ignored: N masks (H, W) of the pixels that do not count, or None for an image in which all count; None: all
+            pixels of all images count.
     """
 
     image_ids: Sequence[str]
     labels: Sequence[NDArray[np.generic]]
     predictions: PredictionSource
+    ignored: Sequence[NDArray[np.bool_] | None] | None = None
 
     def __post_init__(self) -> None:
         n_images = len(self.image_ids)
@@ -47,8 +50,10 @@ class LabeledPredictions:
     def __len__(self) -> int:
         return len(self.image_ids)
 
-    def checked(self, n_members: int | None = None) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
-        """Yield (H, W) bool label and (M, H, W) predictions of each image.
+    def checked(
+        self, n_members: int | None = None
+    ) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.bool_] | None]]:
+        """Yield (H, W) bool label, (M, H, W) predictions and (H, W) mask of valid pixels (None: all) of each image.
 
         Args:
             n_members: required M; by default that of the first image.
@@ -66,11 +71,32 @@ class LabeledPredictions:
                 n_members = len(stack)
                 _, occupied = require_labeled_prediction(stack[0], label)
                 p_members = require_p_occupied(stack)
+                valid = self.valid(index, occupied.shape)
             except SettingsError as error:
                 raise SettingsError(f"{image_id}: {error}") from error
-            yield occupied, p_members
+            yield occupied, p_members, valid
 
-    def pooled(self, index: int, temperature: float = 1.0) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """Return label and `pooled_probability` of all members, both (H, W), of an image that was checked before."""
-        p_members = np.asarray(self.predictions[index], dtype=np.float64)
-        return require_label(self.labels[index]), pooled_probability(p_members, temperature)
+    def valid(self, index: int, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+        """Return the pixels (H, W) of an image that count; None if all do.
+
+        Raises:
+            SettingsError: the mask of ignored pixels has another shape than the image, or no pixel counts.
+        """
+        ignored = None if self.ignored is None else self.ignored[index]
+        if ignored is None:
+            return None
+        if ignored.shape != shape:
+            raise SettingsError(f"the mask of ignored pixels has shape {ignored.shape}, its label {shape}")
+        if ignored.all():
+            raise SettingsError("every pixel is ignored; leave the image out")
+        return ~ignored
+
+    def pooled(
+        self, index: int, temperature: float = 1.0
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_] | None]:
+        """Return `pooled_probability` of all members, label, and valid pixels (None: all) of an image, each (H, W).
+
+        The image was checked before.
+        """
+        p_members, label = np.asarray(self.predictions[index], dtype=np.float64), require_label(self.labels[index])
+        return pooled_probability(p_members, temperature), label, self.valid(index, label.shape)

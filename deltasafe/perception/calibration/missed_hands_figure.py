@@ -30,7 +30,7 @@ def missed_hands_figure(report: CalibrationReport) -> Figure:
 def _draw_classes(axes: Axes, report: CalibrationReport) -> None:
     final = report.final
     axes.plot([0.5, 1], [0.5, 1], "k--", lw=1, label="Ideal")
-    for curve, color, name in ((final.hand, RED, "hand"), (final.background, BLUE, "background")):
+    for curve, color, name in ((final.hand, RED, report.info.singular), (final.background, BLUE, "background")):
         draw_curve(axes, curve, "o-", color=color, ms=4, lw=1.8, label=f"Predicted {name}", clip_on=False)
         draw_band(axes, curve, color)
     drawn = [v for curve in (final.hand, final.background) for v in curve.low if v is not None]
@@ -40,7 +40,7 @@ def _draw_classes(axes: Axes, report: CalibrationReport) -> None:
 
 
 def _draw_images(axes: Axes, report: CalibrationReport) -> None:
-    missed = report.missed_hand_rates
+    missed, thing = report.missed_hand_rates, report.info.singular
     n_images, percent = len(missed), 100 * np.array(list(missed.values()))
     at_delta = [100 * report.missed_at_planning_delta[i] for i in missed]
     label = f"free for the planner ($p_\\mathrm{{occupied}} \\leq {report.grid_delta:g}$)"
@@ -59,6 +59,10 @@ def _draw_images(axes: Axes, report: CalibrationReport) -> None:
             )  # fmt: skip
         axes.set_ylim(0, max(percent.max() * 1.3, 1e-3))
         axes.set_xlim(-0.8, max(n_images, 10))
-    axes.set(xlabel=f"{n_images} images, largest fraction first", ylabel="Fraction of the hand [%]", xticks=[])
-    axes.set_title("Missed fraction of each hand")
+    axes.set(
+        xlabel=f"{n_images} images, largest fraction first",
+        ylabel=f"Fraction of the {thing} [%]",
+        xticks=[],
+    )
+    axes.set_title(f"Missed fraction of each {thing}")
     axes.legend(frameon=False, fontsize=9, loc="upper right")

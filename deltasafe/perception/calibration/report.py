@@ -22,6 +22,8 @@ from deltasafe.perception.calibration.delta_support import (
 )
 from deltasafe.perception.calibration.metrics import ImageScores, MeanAndSd, Scores
 from deltasafe.perception.calibration.reliability import DELTA_GRID, ReliabilityCurve, delta_index
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
+from deltasafe.perception.settings import GateThresholds
 from deltasafe.setting_ranges import check_range
 
 FORMAT_VERSION = 3
@@ -141,6 +143,21 @@ class EvaluationResult:
 
 
 @dataclasses.dataclass(frozen=True)
+class FrozenFit:
+    """The fit of an ensemble that was frozen before the images of the report were evaluated.
+
+    Attributes:
+        ensemble: name of its folder.
+        temperature: of the ensemble.
+        n_images: images that it was fitted on.
+    """
+
+    ensemble: str
+    temperature: float
+    n_images: int
+
+
+@dataclasses.dataclass(frozen=True)
 class CalibrationReport:
     """The calibration report of an ensemble of M members on N labeled images.
 
@@ -155,6 +172,9 @@ class CalibrationReport:
         uncalibrated: the whole ensemble, T = 1.
         calibrated: the whole ensemble with the fitted temperature; None if it was not fitted (a single image).
         risk: thresholds by conformal risk control, for p_occupied as it is used.
+        info: what the images show; stored beside the report.
+        frozen: of an ensemble that was frozen before, which ``calibrated`` then has the temperature of; None if the
+            temperature was fitted on these images, or on the further ones.
         format_version: of the stored form.
     """
 
@@ -167,6 +187,8 @@ class CalibrationReport:
     uncalibrated: EvaluationResult
     calibrated: EvaluationResult | None
     risk: tuple[RiskControl, ...]
+    info: DatasetInfo = HANDS
+    frozen: FrozenFit | None = None
     format_version: int = FORMAT_VERSION
 
     @property
@@ -298,30 +320,21 @@ class CalibrationReport:
         if version != FORMAT_VERSION:
             raise DataError(path, f"has format version {version}, this release reads {FORMAT_VERSION}; calibrate again")
         try:
-            return typing.cast(CalibrationReport, from_json(cls, value))
+            report = typing.cast(CalibrationReport, from_json(cls, value))
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(path, f"is not a calibration report ({error}); calibrate again") from error
+        return dataclasses.replace(report, info=DatasetInfo.load(folder))
+
+    def stored(self) -> dict[str, typing.Any]:
+        """Return the content of ``report.json``: everything except ``info``, which has a file of its own."""
+        left_out = ("info",) if self.frozen is not None else ("info", "frozen")
+        return {
+            field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name not in left_out
+        }
 
     def _largest_first(self, fractions: dict[int, float | None]) -> dict[int, float]:
         known = {i: fraction for i, fraction in fractions.items() if fraction is not None}
         return dict(sorted(known.items(), key=lambda item: (-item[1], self.image_ids[item[0]])))
-
-
-@dataclasses.dataclass(frozen=True)
-class GateThresholds:
-    """Requirements for freezing an ensemble.
-
-    Attributes:
-        pixel_accuracy, miou: smallest allowed values of the whole ensemble.
-        missed_hand_rate: largest allowed fraction of a hand with p_occupied < 0.5 in any image; 1 allows any fraction.
-    """
-
-    pixel_accuracy: float = 0.9
-    miou: float = 0.8
-    missed_hand_rate: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_range(self, "[0, 1]", "pixel_accuracy", "miou", "missed_hand_rate")
 
 
 def gate(report: CalibrationReport, thresholds: GateThresholds) -> list[str]:
@@ -341,7 +354,7 @@ def gate(report: CalibrationReport, thresholds: GateThresholds) -> list[str]:
     elif supported > planned:
         failures.append(f"the smallest supported delta is {supported:g}, planning needs {planned:g}")
     failures += [
-        f"{image.missed_hand_rate:.1%} of the hand in {image_id} is missed, "
+        f"{image.missed_hand_rate:.1%} of the {report.info.singular} in {image_id} is missed, "
         f"{thresholds.missed_hand_rate:.1%} is allowed"
         for image_id, image in zip(report.image_ids, report.images, strict=True)
         if image.missed_hand_rate is not None and image.missed_hand_rate > thresholds.missed_hand_rate

@@ -61,10 +61,12 @@ def write_calibration_report(
         pictures["conformal_margin.png"] = conformal_margin_figure(report, *shown)
     if load_image is not None and n_examples > 0:
         delta = report.settings.planning_delta
-        pictures["worst.jpg"] = overlay_figure(overlays(report.worst_examples(n_examples)), delta)
-        pictures["best.jpg"] = overlay_figure(overlays(report.worst_first[::-1][:n_examples]), delta)
+        thing = report.info.singular
+        pictures["worst.jpg"] = overlay_figure(overlays(report.worst_examples(n_examples)), delta, thing)
+        pictures["best.jpg"] = overlay_figure(overlays(report.worst_first[::-1][:n_examples]), delta, thing)
     with atomic_folder(folder) as temporary:
-        write_json(temporary / "report.json", report)
+        write_json(temporary / "report.json", report.stored())
+        report.info.save(temporary)
         for name, figure in pictures.items():
             options: dict[str, Any] = {"pil_kwargs": {"quality": 85}} if name.endswith(".jpg") else {}
             figure.savefig(temporary / name, dpi=96, **options)
@@ -88,6 +90,6 @@ def _figures(report: CalibrationReport) -> "dict[str, Figure]":
 def _overlay(report: CalibrationReport, images: LabeledPredictions, load_image: LoadImage, index: int) -> "Overlay":
     from deltasafe.perception.calibration.overlay_figure import Overlay
 
-    label, p_occupied = images.pooled(index, report.final.temperature)
+    p_occupied, label, valid = images.pooled(index, report.final.temperature)
     image_id = report.image_ids[index]
-    return Overlay(image_id, load_image(image_id), label, p_occupied)
+    return Overlay(image_id, load_image(image_id), label, p_occupied, valid)

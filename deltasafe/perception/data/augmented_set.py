@@ -20,6 +20,7 @@ from deltasafe.io.storage import atomic_folder, digest_of, read_json, write_json
 from deltasafe.perception.data.augmentation import METHOD_NAMES, AugmentationSettings
 from deltasafe.perception.data.augmentation.augment import AugmentedImage, pixel_digest
 from deltasafe.perception.data.augmentation.background import Backgrounds
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.schemes import SCHEMES, SchemeSettings, scheme_name
 from deltasafe.perception.data.schemes.generation import VariantGenerator, size_and_mask_dtype, variant_generator
@@ -42,6 +43,7 @@ class AugmentedSet:
         background_digest: of the background photographs; empty without photographs.
         digest: SHA-256 of settings, sources and recipes; the recipes contain the digests of the pixels.
         without_hand: ids of the originals that show no hand.
+        info: what the masks mark.
     """
 
     folder: pathlib.Path
@@ -53,6 +55,7 @@ class AugmentedSet:
     background_digest: str
     digest: str
     without_hand: frozenset[str] = frozenset()
+    info: DatasetInfo = HANDS
 
     @classmethod
     def load(cls, folder: str | pathlib.Path) -> "AugmentedSet":
@@ -79,8 +82,8 @@ class AugmentedSet:
         digest = _digest(settings, source, background, recipes)
         if digest != header["digest"]:
             raise DataError(folder, "has a digest that differs from its recipes' digest; make the augmented set again")
-        without_hand = frozenset(header.get("without_hand", ()))
-        return cls(folder, images, masks, recipes, settings, source, background, digest, without_hand)
+        without_hand, info = frozenset(header.get("without_hand", ())), DatasetInfo.load(folder)
+        return cls(folder, images, masks, recipes, settings, source, background, digest, without_hand, info)
 
     @property
     def n(self) -> int:
@@ -121,7 +124,8 @@ def augment_images(
     Args:
         images: the labeled originals.
         folder: destination; an existing folder is replaced when the new one is complete.
-        settings: of a scheme of `deltasafe.perception.data.schemes`; their class selects it. Default: our scheme.
+        settings: of a scheme of `deltasafe.perception.data.schemes`; their class selects it. Default: our scheme. It
+            leaves skin tones and clothing out unless the images show hands (`DatasetInfo.hand_recipe`).
         backgrounds: folder of photographs without hands, for our scheme. None: procedural surfaces only.
         workers: number of processes; the result does not depend on it. 1 works in this process; more need the guard
             ``if __name__ == "__main__":`` in a script.
@@ -133,6 +137,8 @@ def augment_images(
     """
     settings = settings or AugmentationSettings()
     ours = isinstance(settings, AugmentationSettings)
+    if isinstance(settings, AugmentationSettings) and not images.info.hand_recipe:
+        settings = settings.without_hand_parts()
     photographs = Backgrounds.load(backgrounds if ours else None)
     if photographs.ignored:
         progress(0, len(images), f"ignored in {backgrounds}: {photographs.ignored}")
@@ -158,6 +164,7 @@ def augment_images(
             **({} if ours else {"scheme": scheme_name(settings)}),
         }
         write_json(temporary / "set.json", header)
+        images.info.save(temporary)
     return AugmentedSet.load(folder)
 
 

@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 import pathlib
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 import numpy as np
@@ -14,6 +14,7 @@ from deltasafe.io.checksum_list import listed_name, read_registry
 from deltasafe.io.folder_entries import IMAGE_SUFFIXES, FolderEntries, require_utf8_name
 from deltasafe.io.images import read_image
 from deltasafe.io.storage import digest_of, sha256_of_file
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
 from deltasafe.perception.data.labeled_pair import OPTIONS_FILE, SetOptions, aligned_mask, scaled_mask
 from deltasafe.perception.data.masks import polarity_defect, read_marked
 
@@ -49,8 +50,10 @@ class LabeledImageSet:
         name: of the folder.
         items: the labeled images, sorted by id.
         pixel_digests: SHA-256 of the decoded pixels of each image, in the order of ``items``.
-        digest: SHA-256 over ids, pixels and masks; it does not depend on the folder's path.
+        digest: SHA-256 over ids, pixels and masks, and the obstacle if it is no hand; it does not depend on the
+            folder's path.
         options: of the set, from its file ``set.json``.
+        info: what the masks mark, from its file ``dataset.json``.
     """
 
     name: str
@@ -58,10 +61,11 @@ class LabeledImageSet:
     pixel_digests: tuple[str, ...]
     digest: str
     options: SetOptions = dataclasses.field(default_factory=SetOptions)
+    info: DatasetInfo = HANDS
 
     @classmethod
     def load(cls, folder: str | pathlib.Path, registry: str | pathlib.Path | None = None) -> "LabeledImageSet":
-        """Read and check the set in ``folder``: files in ``images/`` and ``masks/`` with equal stems.
+        """Read and check the set in ``folder``: files in ``images/`` and ``masks/`` with equal stems, ``dataset.json``.
 
         Args:
             folder: the set. Images have any size and any format of `read_image`. Masks have the size of their image;
@@ -76,6 +80,7 @@ class LabeledImageSet:
         folder, defects = pathlib.Path(folder), list[DataError]()
         if not folder.is_dir():
             raise DataError(folder, "is not a folder; give one that holds images/ and masks/")
+        info = read_or_none(DatasetInfo.load, folder, defects) or HANDS
         images, masks = (_files_by_stem(folder / part, defects) for part in ("images", "masks"))
         for stem in sorted(images.keys() ^ masks.keys()) if images and masks else ():
             path, other = (images[stem], "masks") if stem in images else (masks[stem], "images")
@@ -87,7 +92,8 @@ class LabeledImageSet:
             defects.append(DataError(folder, "holds no images; put them into images/ and their masks into masks/"))
         options = SetOptions.load(folder)
         if registry is not None:
-            defects += _unregistered(items, pathlib.Path(registry))
+            files = [path for item in items for path in (item.image, item.mask)]
+            defects += _unregistered([*files, *folder.glob("dataset.json")], pathlib.Path(registry))
         read, pixel_digests, contents = [], [], []
         for item in items:
             if (found := _read_or_note(item, options, defects)) is not None:
@@ -100,7 +106,8 @@ class LabeledImageSet:
             defects.append(DataError(folder / "masks", "mark no hand in any image (255 = hand); label the images"))
         if defects:
             raise DataError.combined(folder, defects)
-        return cls(folder.name, tuple(read), tuple(pixel_digests), digest_of(contents), options)
+        content = contents if info.obstacle == HANDS.obstacle else [info, contents]
+        return cls(folder.name, tuple(read), tuple(pixel_digests), digest_of(content), options, info)
 
     def __len__(self) -> int:
         return len(self.items)
@@ -131,7 +138,7 @@ class LabeledImageSet:
 
 
 def check_disjoint(train: LabeledImageSet, test: LabeledImageSet, role: str = "training") -> None:
-    """Check that no image of the test set occurs in another set, under any name.
+    """Check that two sets show the same obstacle, and that no image of the test set occurs in the other one.
 
     Args:
         train: the other set.
@@ -139,8 +146,10 @@ def check_disjoint(train: LabeledImageSet, test: LabeledImageSet, role: str = "t
         role: of ``train``, for the message.
 
     Raises:
-        DataError: lists the images of ``test`` whose decoded pixels also occur in ``train``.
+        DataError: lists the images of ``test`` whose decoded pixels also occur in ``train``; or the sets show different
+            obstacles.
     """
+    test.info.require_same_obstacle(train.info, test.items[0].image.parents[1], role)
     known = dict(zip(train.pixel_digests, train.items, strict=True))
     defects = [
         DataError(
@@ -253,10 +262,10 @@ def _different_marks(folder: pathlib.Path, items: list[LabeledImage]) -> list[Da
     ]
 
 
-def _unregistered(items: tuple[LabeledImage, ...], registry: pathlib.Path) -> list[DataError]:
+def _unregistered(files: Iterable[pathlib.Path], registry: pathlib.Path) -> list[DataError]:
     """List the files whose digest is missing in the registry, or is another one."""
     digests, root, defects = read_registry(registry), registry.resolve().parent, []
-    for path in (path for item in items for path in (item.image, item.mask)):
+    for path in files:
         resolved = path.resolve()
         name = resolved.relative_to(root).as_posix() if resolved.is_relative_to(root) else resolved.as_posix()
         digest = digests.get(listed_name(name)) or digests.get(listed_name(resolved.as_posix()))

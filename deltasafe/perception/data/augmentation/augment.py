@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from deltasafe.perception.data.augmentation.background import Backgrounds
-from deltasafe.perception.data.augmentation.color import recolor_hand, simulate_camera
+from deltasafe.perception.data.augmentation.color import recolor_hand, recolor_object, simulate_camera
 from deltasafe.perception.data.augmentation.geometry import WARPS
 from deltasafe.perception.data.augmentation.hand_cutout import HandCutout
 from deltasafe.perception.data.augmentation.layers import Layers
@@ -79,9 +79,11 @@ def augment(
     points, drawn = _source_points(hand, rngs, _canvas_size(settings))
     layers = Layers.sample(hand, points)
     if "color" in rngs:
-        layers.rgb, drawn["color"] = recolor_hand(rngs["color"], layers.rgb, layers.alpha)
+        recolor = recolor_object if "skin_tones" in settings.left_out else recolor_hand
+        layers.rgb, drawn["color"] = recolor(rngs["color"], layers.rgb, layers.alpha)
     if "background" in rngs:
-        drawn["background"] = layers.replace_background(rngs["background"], hand, points, backgrounds)
+        clothed = "clothing" not in settings.left_out
+        drawn["background"] = layers.replace_background(rngs["background"], hand, points, backgrounds, clothed)
     composed = layers.compose()
     if "color" in rngs:
         composed, camera = simulate_camera(rngs["color"], composed)

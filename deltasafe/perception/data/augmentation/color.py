@@ -1,8 +1,8 @@
-"""Color modification: skin tone and lighting of the hand, then the camera's color processing of the whole image."""
+"""Color modification: color and lighting of the object, then the camera's color processing of the whole image."""
 
 import numpy as np
 
-from deltasafe.perception.data.augmentation.skin import N_TONES, recolor, tone_lab
+from deltasafe.perception.data.augmentation.skin import N_TONES, mean_lab, recolor, tone_lab
 from deltasafe.perception.data.augmentation.textures import light_gradient
 
 
@@ -16,15 +16,37 @@ def recolor_hand(
         rgb: ``(H, W, 3)`` float32 in [0, 1], the hand alone.
         alpha: ``(H, W)`` coverage of the hand.
     """
-    height, width = alpha.shape
     tone = int(rng.integers(N_TONES))
     lab = tone_lab(tone) + rng.normal(0.0, (1.5, 2.0, 3.0)).astype(np.float32)
     rgb = recolor(rgb, alpha, lab, contrast=float(rng.uniform(0.8, 1.5)), chroma=float(rng.uniform(0.5, 1.4)))
-    drawn: dict[str, float | int] = {"tone": tone}
+    rgb, drawn = _relight(rng, rgb)
+    return rgb, {"tone": tone, **drawn}
+
+
+def recolor_object(
+    rng: np.random.Generator, rgb: np.ndarray, alpha: np.ndarray
+) -> tuple[np.ndarray, dict[str, float | int]]:
+    """Shift the color of an object that is no hand a little, light it from one side, and give it its own exposure.
+
+    Args:
+        rng: source of the draws.
+        rgb: ``(H, W, 3)`` float32 in [0, 1], the object alone.
+        alpha: ``(H, W)`` coverage of the object.
+    """
+    lightness, a, b = rng.normal(0.0, (8.0, 4.0, 4.0)).tolist()
+    contrast, chroma = rng.uniform((0.8, 0.7), (1.3, 1.3)).tolist()
+    lab = mean_lab(rgb, alpha) + np.array([lightness, a, b], np.float32)
+    rgb, drawn = _relight(rng, recolor(rgb, alpha, lab, contrast, chroma))
+    return rgb, {"lightness": lightness, **drawn}
+
+
+def _relight(rng: np.random.Generator, rgb: np.ndarray) -> tuple[np.ndarray, dict[str, float | int]]:
+    drawn: dict[str, float | int] = {}
+    height, width = rgb.shape[:2]
     if rng.random() < 0.5:
         drawn["side_light"] = float(rng.uniform(0.1, 0.5))
         rgb = rgb * light_gradient(rng, width, height, drawn["side_light"])
-    if rng.random() < 0.25:  # backlight, or a spotlight on the hand
+    if rng.random() < 0.25:  # backlight, or a spotlight on the object
         drawn["own_exposure_stops"] = float(rng.uniform(-0.8, 0.4))
         rgb = rgb * np.float32(2.0 ** drawn["own_exposure_stops"])
     return np.clip(rgb, 0.0, 1.0).astype(np.float32), drawn

@@ -43,17 +43,23 @@ class Layers:
         return cls(rgb, alpha, sample(hand.background, points, cv2.BORDER_REFLECT))
 
     def replace_background(
-        self, rng: np.random.Generator, hand: HandCutout, points: np.ndarray, backgrounds: Backgrounds
+        self,
+        rng: np.random.Generator,
+        hand: HandCutout,
+        points: np.ndarray,
+        backgrounds: Backgrounds,
+        clothed: bool = True,
     ) -> dict[str, object]:
-        """Draw a background, clothing and jewelry, and the hand's shadow; returns the drawn parameters."""
+        """Draw a background, clothing and jewelry if ``clothed``, and the shadow; returns the drawn parameters."""
         height, width = self.alpha.shape
         self.background, drawn = draw_background(rng, backgrounds, width, height)
         sleeve, sleeve_alpha = np.zeros_like(self.rgb), np.zeros_like(self.alpha)
-        if hand.arm is not None:
+        if clothed and hand.arm is not None:
             along, across = hand.arm.coordinates(points)
             drawn["strap"] = add_strap(rng, hand.arm, along, across, self.rgb)
             sleeve, sleeve_alpha, self.alpha, drawn["sleeve"] = add_sleeve(rng, hand.arm, along, across, self.alpha)
-        drawn["rings"] = add_rings(rng, self.rgb, self.alpha)
+        if clothed:
+            drawn["rings"] = add_rings(rng, self.rgb, self.alpha)
         drawn["shadow"] = self._cast_shadow(rng, np.maximum(self.alpha, sleeve_alpha))
         self.background += (sleeve - self.background) * sleeve_alpha[..., None]
         return {name: value for name, value in drawn.items() if value}

@@ -6,6 +6,8 @@ from deltasafe.errors import SettingsError
 from deltasafe.setting_ranges import check_range
 
 METHOD_NAMES = ("background", "flip", "rotation", "grid_distortion", "cropping", "color", "noise", "random_erase")
+HAND_PARTS = ("skin_tones", "clothing")
+"""Parts of the methods ``color`` and ``background`` that suit hands alone."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,7 +21,8 @@ class AugmentationSettings:
         probability: probability of each of the seven methods after the background; the draws are independent.
         supersampling: images are composed at this multiple of the stored size and then downsampled by area.
         left_out: names of methods that are never applied, for ablations. The random draws of the other methods
-            do not change.
+            do not change. ``skin_tones`` (then the object keeps about its own color) and ``clothing`` (sleeves, straps
+            and rings) leave out parts that suit hands alone; they are left out for every other obstacle.
         seed: of the whole set. Each image has its own seed: a hash of this one, the id of the original and the
             number of the variant.
     """
@@ -38,6 +41,10 @@ class AugmentationSettings:
         check_range(self, "[32, inf)", "width", "height")
         check_range(self, "[0, inf)", "seed")
         check_range(self, "[0, 1]", "probability")
-        unknown = sorted(set(self.left_out) - set(METHOD_NAMES))
-        if unknown:
-            raise SettingsError(f"left_out holds {unknown}; the methods are {', '.join(METHOD_NAMES)}")
+        known = (*METHOD_NAMES, *HAND_PARTS)
+        if unknown := sorted(set(self.left_out) - set(known)):
+            raise SettingsError(f"left_out holds {unknown}; the methods are {', '.join(known)}")
+
+    def without_hand_parts(self) -> "AugmentationSettings":
+        """Leave out what suits hands alone."""
+        return dataclasses.replace(self, left_out=tuple(dict.fromkeys((*self.left_out, *HAND_PARTS))))

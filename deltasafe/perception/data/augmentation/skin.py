@@ -22,6 +22,14 @@ def random_skin_color(rng: np.random.Generator) -> np.ndarray:
     return cv2.cvtColor(lab[None, None].astype(np.float32), cv2.COLOR_LAB2RGB)[0, 0]
 
 
+def mean_lab(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Mean color ``(3,)`` in Lab of the pixels of ``rgb`` (H, W, 3) with ``alpha`` > 0.5; black without any."""
+    covered = alpha > 0.5
+    if not covered.any():
+        return np.zeros(3, np.float32)
+    return cv2.cvtColor(np.ascontiguousarray(rgb, np.float32), cv2.COLOR_RGB2LAB)[covered].mean(axis=0)
+
+
 def recolor(rgb: np.ndarray, alpha: np.ndarray, lab: np.ndarray, contrast: float, chroma: float) -> np.ndarray:
     """Change the mean color of the skin in ``rgb`` and keep its shading.
 

@@ -12,6 +12,7 @@ import pytest
 import deltasafe
 from deltasafe.cli import main
 from deltasafe.errors import ArtifactError, DataError, SettingsError
+from deltasafe.io.storage import read_json
 from deltasafe.perception.artifact.frozen_ensemble import (
     golden_difference,
     load_ensemble,
@@ -19,12 +20,16 @@ from deltasafe.perception.artifact.frozen_ensemble import (
     write_frozen_ensemble,
 )
 from deltasafe.perception.artifact.model_card import model_card
+from deltasafe.perception.artifact.promotion import score_ensemble
 from deltasafe.perception.calibration.conformal_margin import ConformalMargins
 from deltasafe.perception.calibration.delta_support import Calibration
+from deltasafe.perception.calibration.metrics import pool_scores
+from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.network import build_network
+from tests.ensembles import write_hands
 
 NETWORK = NetworkSettings(pretrained=False, pyramid_channels=16)
 INFERENCE = InferenceSettings(64, 48)
@@ -359,3 +364,16 @@ def test_model_card_states_supported_delta_or_that_there_is_none():
     assert "| 0.9700 | 0.9300 | 0.0700 | 0.0200 | 0.0100 |" in card
     none = model_card(manifest, dataclasses.replace(CALIBRATION, smallest_supported_delta=None))
     assert "support **no** delta" in none
+
+
+def test_evaluate_writes_report_and_metrics(frozen, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_hands(tmp_path / "photographs", 3)
+    assert main(["evaluate", str(frozen), "photographs"]) == 0
+    assert "3 images: pixel accuracy 0." in capsys.readouterr().out
+    figures = read_json(tmp_path / "photographs-evaluation" / "metrics.json")["figures"]
+    scores = score_ensemble(frozen, LabeledImageSet.load("photographs"), tmp_path / "scores")
+    assert figures["nll"] == pytest.approx(pool_scores(scores).nll, rel=1e-6)
+    assert figures["miou"] == pytest.approx(pool_scores(scores).miou, rel=1e-6)
+    assert main(["evaluate", str(frozen), "nowhere"]) == 1
+    assert "nowhere: is not a folder" in capsys.readouterr().err

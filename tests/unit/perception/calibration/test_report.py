@@ -11,14 +11,10 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.calibration.evaluation import evaluate
 from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
 from deltasafe.perception.calibration.reliability import DELTA_GRID
-from deltasafe.perception.calibration.report import (
-    CalibrationReport,
-    CalibrationSettings,
-    GateThresholds,
-    gate,
-)
+from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, gate
 from deltasafe.perception.calibration.report_text import report_markdown
 from deltasafe.perception.calibration.write_report import write_calibration_report
+from deltasafe.perception.settings import GateThresholds
 from tests.unit.perception.calibration.calibration_cases import synthetic_ensemble
 
 IMAGES = synthetic_ensemble()

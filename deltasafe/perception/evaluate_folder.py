@@ -1,0 +1,155 @@
+"""Evaluate a frozen ensemble on a folder of labeled images that it has never seen (`deltasafe evaluate`).
+
+The ensemble keeps its temperature: nothing is fitted that changes a probability. One image is in memory at a time, and
+predictions are not stored.
+"""
+
+import dataclasses
+import pathlib
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltasafe.compute.progress import Progress, silent
+from deltasafe.errors import DataError
+from deltasafe.io.storage import write_json
+from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble
+from deltasafe.perception.calibration.evaluation import evaluate
+from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
+from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, FrozenFit
+from deltasafe.perception.calibration.write_report import write_calibration_report
+from deltasafe.perception.data.labeled_images import LabeledImageSet, read_or_none
+from deltasafe.perception.data.masks import read_mask_plane
+
+T = TypeVar("T")
+
+METRICS_FILE = "metrics.json"
+_MAX_LEFT_OUT_ONE_BY_ONE = 200
+_FOLDS_OF_MANY_IMAGES = 10
+
+
+def evaluate_folder(
+    ensemble: FrozenEnsemble,
+    folder: str | pathlib.Path,
+    destination: str | pathlib.Path,
+    *,
+    planning_delta: float = 0.05,
+    progress: Progress = silent,
+) -> CalibrationReport:
+    """Evaluate ``ensemble`` on the labeled images of ``folder``, and write the report to ``destination``.
+
+    The report is that of `deltasafe.perception.evaluate_ensemble`, and ``metrics.json`` with the figures of the whole
+    set and of each image.
+
+    Args:
+        ensemble: evaluated as it is used, with its temperature.
+        folder: a set for `LabeledImageSet.load`. Pixels that are 255 in ``ignore/NAME.png`` do not count; an image
+            without such a file counts whole.
+        destination: replaced if it is an earlier report.
+        planning_delta: of the hand that is missed at delta, and of its plots.
+        progress: called after each image.
+
+    Raises:
+        DataError: lists the defective files; or the set shows another obstacle than the ensemble; or ``destination``
+            is no earlier report.
+    """
+    folder, destination = pathlib.Path(folder), pathlib.Path(destination)
+    if destination.exists() and not (destination / METRICS_FILE).is_file():
+        raise DataError(destination, "exists and is no earlier evaluation; give another folder")
+    images = LabeledImageSet.load(folder)
+    info = images.info
+    if info.is_default:  # a set without dataset.json shows what the ensemble was trained on
+        info = dataclasses.replace(ensemble.info, images="")
+    info.require_same_obstacle(ensemble.info, folder, "training")
+    ignored = _ignored_masks(images, folder / "ignore")
+    n_folds = _FOLDS_OF_MANY_IMAGES if len(images) > _MAX_LEFT_OUT_ONE_BY_ONE else 0
+    settings = CalibrationSettings(n_folds=n_folds, planning_delta=planning_delta)
+
+    def load_image(image_id: str) -> NDArray[np.uint8]:
+        return images.read(ids.index(image_id))[0]
+
+    ids = [item.id for item in images.items]
+    evaluated = LabeledPredictions(
+        ids,
+        _OnDemand(len(ids), lambda index: images.read(index)[1]),
+        _OnDemand(len(ids), lambda index: ensemble.member_p_occupied(images.read(index)[0])),
+        ignored,
+    )
+    calibration = ensemble.calibration
+    frozen = FrozenFit(
+        ensemble.folder.name, ensemble.temperature, calibration.n_calibration_images or calibration.n_images
+    )
+    report = evaluate(evaluated, settings, None, progress, info, frozen)
+    write_calibration_report(destination, report, evaluated, load_image)
+    write_json(destination / METRICS_FILE, metrics(report))
+    return report
+
+
+def metrics(report: CalibrationReport) -> dict[str, Any]:
+    """Return the figures of the whole set with their intervals, and of each image, as JSON values."""
+    predictor = report.final.predictor
+    rates = report.missed_at_planning_delta
+    return {
+        "figures": report.figures(),
+        "interval": {"level": report.settings.level, "low": predictor.low, "high": predictor.high},
+        "missed_at_delta": {
+            "delta": report.grid_delta,
+            "mean": sum(rates.values()) / len(rates) if rates else None,
+            "worst": max(rates.values(), default=None),
+        },
+        "images": {
+            image_id: {**dataclasses.asdict(scores), "missed_at_delta": rates.get(index)}
+            for index, (image_id, scores) in enumerate(zip(report.image_ids, report.images, strict=True))
+        },
+    }
+
+
+def _ignored_masks(images: LabeledImageSet, folder: pathlib.Path) -> "_OnDemand[NDArray[np.bool_] | None] | None":
+    """Read the masks of ignored pixels once to check them; return them to be read again on demand."""
+    if not folder.is_dir():
+        return None
+    files = {path.stem: path for path in sorted(folder.iterdir()) if not path.name.startswith(".")}
+    defects = [
+        DataError(files[stem], "has no counterpart in images/; give both files the same stem, or remove it")
+        for stem in sorted(files.keys() - {item.id for item in images.items})
+    ]
+    for index, item in enumerate(images.items):
+        if item.id in files and (mask := read_or_none(_read_ignored, files[item.id], defects)) is not None:
+            shape = images.read(index)[1].shape
+            if mask.shape != shape:
+                defects.append(DataError(files[item.id], f"is {mask.shape}, its image {shape}; export it at that size"))
+            elif mask.all():
+                defects.append(DataError(files[item.id], "ignores the whole image; remove the image from the set"))
+    if defects:
+        raise DataError.combined(folder, defects)
+
+    def read(index: int) -> NDArray[np.bool_] | None:
+        file = files.get(images.items[index].id)
+        return None if file is None else _read_ignored(file)
+
+    return _OnDemand(len(images), read)
+
+
+def _read_ignored(path: pathlib.Path) -> NDArray[np.bool_]:
+    return read_mask_plane(path).above(0.5)
+
+
+@dataclasses.dataclass(frozen=True)
+class _OnDemand(Sequence[T], Generic[T]):
+    """A sequence of ``n`` items that are made when they are indexed."""
+
+    n: int
+    make: Callable[[int], T]
+
+    def __len__(self) -> int:
+        return self.n
+
+    @overload
+    def __getitem__(self, index: int) -> T: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[T]: ...
+    def __getitem__(self, index: int | slice) -> T | list[T]:
+        places = range(self.n)[index]
+        return [self.make(i) for i in places] if isinstance(places, range) else self.make(places)
