@@ -124,7 +124,7 @@ def test_no_page_about_coffee_cups_says_hand(tmp_path):
     report = evaluate(images, CalibrationSettings(n_bootstrap=100), info=CUPS)
     path = write_calibration_report(tmp_path / "report", report, images, lambda _: np.zeros((48, 64, 3), np.uint8))
     assert CalibrationReport.load(path.parent) == report
-    manifest = {"n_members": 2, "seeds": [0, 1], "network": dataclasses.asdict(NetworkSettings())}
+    manifest = {"format_version": 3, "n_members": 2, "seeds": [0, 1], "network": dataclasses.asdict(NetworkSettings())}
     manifest["inference"] = dataclasses.asdict(InferenceSettings())
     card = model_card(manifest, report.calibration, report.info)
     for text in (path.read_text(), card):
@@ -138,7 +138,7 @@ def test_no_page_about_coffee_cups_says_hand(tmp_path):
 def test_the_model_card_says_that_images_were_rendered():
     from tests.ensembles import CALIBRATION
 
-    manifest = {"n_members": 1, "seeds": [0], "network": dataclasses.asdict(NetworkSettings())}
+    manifest = {"format_version": 3, "n_members": 1, "seeds": [0], "network": dataclasses.asdict(NetworkSettings())}
     manifest["inference"] = dataclasses.asdict(InferenceSettings())
     rendered = model_card(manifest, CALIBRATION, DatasetInfo(images="rendered"))
     assert "measured on rendered images, not on photographs" in rendered
