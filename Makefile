@@ -23,7 +23,7 @@ RENDERER := $(VENV)/.renderer-installed
 REQUIREMENTS := -e .[vision,sim,mcap,heic,signing] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: help demo test check docs ui wheel clean lock results record study planner-study safety-study tracking-study benchmarks faults scale operation-record pictures sbom audit registry rollback examples surroundings hands scenes team services-test lint-deploy browser-test
+.PHONY: help demo test check docs ui wheel clean lock results record study planner-study safety-study tracking-study benchmarks faults scale operation-record pictures sbom audit registry rollback prune examples surroundings hands scenes team services-test lint-deploy browser-test
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -51,11 +51,14 @@ ui: $(STAMP) ## open the Dagster UI and the MLflow UI (docs/how-to/ui.md)
 	$(BIN)/python -m pipelines.commands.ui
 
 registry: $(STAMP) ## list the versions of the ensemble
-	$(BIN)/python -m pipelines.tracking.registry list
+	$(BIN)/python -m pipelines.commands.registry list
 
 BECAUSE ?= no reason given
 rollback: $(STAMP) ## use the previous ensemble again; BECAUSE='REASON'
-	$(BIN)/python -m pipelines.tracking.registry rollback --because '$(BECAUSE)'
+	$(BIN)/python -m pipelines.commands.registry rollback --because '$(BECAUSE)'
+
+prune: $(STAMP) ## show the disk use of the home and what may be deleted; DELETE=1 deletes it
+	$(BIN)/python -m pipelines.commands.prune $(if $(DELETE),--delete)
 
 SET ?= test-like
 SEED ?= 0

@@ -51,6 +51,7 @@ class TrainedMember:
         images_per_s: training speed at the end of every epoch; empty if the member was already trained.
         data: digests of the training data, by name.
         figure: path of the figure of the loss.
+        trained_ms: start and end of the training in this run, in Unix milliseconds; None if it was already trained.
     """
 
     name: str
@@ -60,6 +61,7 @@ class TrainedMember:
     images_per_s: Sequence[float]
     data: Mapping[str, str]
     figure: pathlib.Path
+    trained_ms: tuple[int, int] | None = None
 
 
 class Tracker(Protocol):
@@ -87,8 +89,8 @@ class Registry(Protocol):
     def champion(self) -> pathlib.Path | None:
         """Return the folder of the ensemble in use; None before the first promotion."""
 
-    def demotion_reason(self, folder: pathlib.Path) -> str:
-        """Return why a person demoted the ensemble ``folder``; empty if it was not demoted."""
+    def objection(self, folder: pathlib.Path) -> str:
+        """Return the decision of a person that forbids to promote ``folder`` for its figures; empty if none does."""
 
     def decide(self, folder: pathlib.Path, promoted: bool, reason: str) -> pathlib.Path:
         """Promote or refuse ``folder`` and record the reason; return the folder of the ensemble in use."""

@@ -277,10 +277,10 @@ def champion(
     from deltasafe.perception.artifact.promotion import decide_promotion
     from deltasafe.perception.data.labeled_images import LabeledImageSet
 
-    present, demotion_reason = registry.champion(), registry.demotion_reason(frozen_ensemble)
+    present, objection = registry.champion(), registry.objection(frozen_ensemble)
     test, scores = LabeledImageSet.load(test_hands), store.home / "scores"
     settings, progress = config.settings(), progress_of(context)
-    verdict = decide_promotion(frozen_ensemble, present, test, scores, settings, demotion_reason, progress)
+    verdict = decide_promotion(frozen_ensemble, present, test, scores, settings, objection, progress)
     folder = registry.decide(frozen_ensemble, verdict.promoted, verdict.reason)
     return dg.MaterializeResult(
         value=folder,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import pathlib
+import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -67,7 +68,7 @@ class Training:
             executor=self.executor,
         )
         for name, member in trained.items():
-            self._record(context, name, member, log.images_per_s[name], data.digest)
+            self._record(context, name, member, log, data.digest)
         return {name: member.folder for name, member in trained.items()}
 
     def _record(
@@ -75,7 +76,7 @@ class Training:
         context: dg.AssetExecutionContext,
         name: str,
         member: "Member",
-        images_per_s: Mapping[int, float],
+        log: "_StepLog",
         data_digest: str,
     ) -> None:
         from deltasafe.perception.training.loss_figure import plot_loss_curves
@@ -83,10 +84,12 @@ class Training:
         losses, curve, per_epoch = member.losses, member.folder / "loss.png", member.record["steps_per_epoch"]
         plot_loss_curves({name: losses}, per_epoch, curve)
         parameters = {**_flat(self.settings), "seed": member.seed}
-        speeds = [speed for _, speed in sorted(images_per_s.items())]
+        speeds, times_ms = [speed for _, speed in sorted(log.images_per_s[name].items())], log.trained_ms.get(name)
         page = self.tracker.member(
             member.ensemble_identity,
-            TrainedMember(name, parameters, losses, per_epoch, speeds, {"augmented hands": data_digest}, curve),
+            TrainedMember(
+                name, parameters, losses, per_epoch, speeds, {"augmented hands": data_digest}, curve, times_ms
+            ),
         )
         final = round(sum(losses[-20:]) / len(losses[-20:]), 4)
         metadata = {"loss": inline_picture(curve), "final loss": final, "steps": len(losses), "seed": member.seed}
@@ -100,15 +103,19 @@ class _StepLog:
 
     Attributes:
         images_per_s: training speed at the end of every epoch, by member and epoch.
+        trained_ms: first and last step of each member that was trained here, in Unix milliseconds.
     """
 
     def __init__(self, context: dg.AssetExecutionContext, settings: TrainingSettings, seeds: Mapping[str, int]) -> None:
         self._settings = settings
         self._progress = {name: progress_of(context, every_s=20.0) for name in seeds}
         self.images_per_s: dict[str, dict[int, float]] = {name: {} for name in seeds}
+        self.trained_ms: dict[str, tuple[int, int]] = {}
 
     def on_step(self, name: str, step: "StepReport") -> None:
         self.images_per_s[name][step.epoch] = step.images_per_s
+        now_ms = int(1000 * time.time())
+        self.trained_ms[name] = (self.trained_ms.get(name, (now_ms, now_ms))[0], now_ms)
         left_min = (step.n_steps - step.step) * self._settings.batch_size / step.images_per_s / 60
         text = f"{name}: epoch {step.epoch} of {self._settings.epochs}, loss {step.loss:.3f}"
         text = f"{text}, {step.images_per_s:.1f} images/s, {left_min:.1f} min left"

@@ -14,7 +14,7 @@ import assets.safety_study
 import assets.single_scene
 import assets.tracking_study
 from assets.interfaces import Store
-from pipelines import jobs
+from pipelines import jobs, operation
 from pipelines.automation.launch_check import launch_error
 from pipelines.automation.sensors import all_sensors
 from pipelines.commands.console import progress_console
@@ -48,6 +48,7 @@ def build_defs(root: pathlib.Path | None = None) -> dg.Definitions:
                 assets.planner_study,
                 assets.safety_study,
                 assets.tracking_study,
+                operation,
             ]
         ),
         asset_checks=dg.load_asset_checks_from_modules([assets.checks, assets.single_scene, assets.tracking_study]),
@@ -60,9 +61,12 @@ def build_defs(root: pathlib.Path | None = None) -> dg.Definitions:
             jobs.planner_study,
             jobs.safety_study,
             jobs.tracking_study,
+            operation.housekeeping,
+            operation.promote,
+            operation.rollback,
         ],
-        schedules=[jobs.retraining],
-        sensors=all_sensors(root),
+        schedules=[jobs.retraining, operation.nightly],
+        sensors=[*all_sensors(root), operation.failed_runs],
         resources={
             "io_manager": FolderPointers(home=str(root)),
             "store": StoreResource(home=str(root), datasets=str(DATASETS)),

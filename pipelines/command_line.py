@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 
 from deltasafe.errors import DeltasafeError
+from pipelines.addresses import masked
 
 
 def run_command(main: Callable[[], int]) -> int:
@@ -16,7 +17,7 @@ def run_command(main: Callable[[], int]) -> int:
         message = _message(error)
         if not message:
             raise
-        print(message, file=sys.stderr)
+        print(masked(message), file=sys.stderr)
         return 1
 
 

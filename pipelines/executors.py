@@ -20,6 +20,7 @@ import dagster as dg
 from deltasafe.compute.executor import LOCAL, Executor
 from deltasafe.compute.ray_executor import RayExecutor, RaySettings
 from deltasafe.errors import SettingsError
+from pipelines.addresses import masked
 from pipelines.home import DATABASE_VARIABLE, PROJECT
 
 EXECUTOR, ADDRESS = "DELTASAFE_EXECUTOR", "DELTASAFE_RAY_ADDRESS"
@@ -65,7 +66,7 @@ class ExecutorResource(dg.ConfigurableResource[Executor]):
 
 _FORWARDED = ("DELTASAFE_", "DAGSTER_", "MLFLOW_TRACKING_URI", "OMP_NUM_THREADS", "NO_ALBUMENTATIONS_UPDATE")
 """Prefixes of the variables that steps need on the cluster. Ray shows the variables of a job to all users, so secrets
-of the database and the object store are not forwarded: the hosts set them in their own environment."""
+and addresses with a password are not forwarded: the hosts set them in their own environment."""
 
 
 def ray_step_executor(environment: Mapping[str, str] = os.environ) -> dg.ExecutorDefinition | None:
@@ -88,7 +89,11 @@ def ray_step_executor(environment: Mapping[str, str] = os.environ) -> dg.Executo
         raise SettingsError(f"{STEPS}=ray needs dagster-ray; install the group `cluster` of pyproject.toml")
     from dagster_ray import ray_executor
 
-    variables = [name for name in environment if name.startswith(_FORWARDED) and name != DATABASE_VARIABLE]
+    variables = [
+        name
+        for name, value in environment.items()
+        if name.startswith(_FORWARDED) and name != DATABASE_VARIABLE and masked(value) == value
+    ]
     paths = {"PATH": str(pathlib.Path(sys.executable).parent), "PYTHONPATH": str(PROJECT)}  # to find `dagster` and us
     variables += [f"{name}={':'.join(filter(None, (own, environment.get(name))))}" for name, own in paths.items()]
     address = environment.get(ADDRESS) or "auto"

@@ -13,6 +13,7 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_file
 from deltasafe.io.write_errors import translated_write_errors
 from deltasafe.presets import VARIABLE, active
+from pipelines.addresses import masked
 
 TRACKING_VARIABLE = "MLFLOW_TRACKING_URI"
 DATABASE_VARIABLE = "DELTASAFE_DATABASE"
@@ -102,8 +103,8 @@ def tracking_uri(root: pathlib.Path) -> str:
 
 
 def mlflow_ui(uri: str) -> str:
-    """Return the address of MLflow's pages: its server, or where `make ui` shows the database."""
-    return uri if uri.startswith("http") else os.environ.get(_MLFLOW_UI, "http://127.0.0.1:5000").rstrip("/")
+    """Return the address of MLflow's pages: its server, or where `make ui` shows the database. It has no password."""
+    return masked(uri) if uri.startswith("http") else os.environ.get(_MLFLOW_UI, "http://127.0.0.1:5000").rstrip("/")
 
 
 def run_page(run_id: str) -> str:

@@ -1,12 +1,16 @@
 """Dagster resources that create the plain objects which assets use."""
 
+import contextlib
 import dataclasses
+import functools
+import getpass
 import pathlib
 
 import dagster as dg
 
 from assets.interfaces import Store
 from pipelines.automation.launch_check import wrong_settings
+from pipelines.commands.provenance import commit
 from pipelines.home import run_page
 from pipelines.storage.artifact_store import artifact_store
 from pipelines.tracking.registry import EnsembleRegistry
@@ -53,4 +57,21 @@ class RegistryResource(dg.ConfigurableResource[EnsembleRegistry]):
 
 
 def _tags(context: dg.InitResourceContext) -> dict[str, str]:
-    return {"dagster_run_id": context.run_id, "dagster_run": run_page(context.run_id)} if context.run_id else {}
+    """Return tags with the Dagster run, and what MLflow shows as created by, source and version."""
+    if not context.run_id:
+        return {}
+    user = ""
+    with contextlib.suppress(KeyError, OSError):  # a user without a name
+        user = getpass.getuser()
+    job = context.run.job_name if context.run else "?"
+    return {
+        "dagster_run_id": context.run_id,
+        "dagster_run": run_page(context.run_id),
+        "mlflow.user": user,
+        "mlflow.source.name": f"deltasafe, Dagster job {job}",
+        "mlflow.source.type": "JOB",
+        "mlflow.source.git.commit": _commit(),
+    }
+
+
+_commit = functools.cache(commit)

@@ -1,7 +1,11 @@
 """numba decorators with an on-disk cache that becomes invalid when any compiled module changes."""
 
+import contextlib
 import functools
+import os
+import pathlib
 import pickle
+import tempfile
 from collections.abc import Callable
 from typing import Any
 
@@ -30,7 +34,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     numba itself checks only the file of the function. A compiled search contains the segment test of its constraint
     type, so that a change of that test in another file must invalidate the search as well.
     """
-    return _cached(numba.njit(cache=True)(function))
+    return _cached(function)
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -39,7 +43,7 @@ def kernel(function: Callable[..., Any]) -> Any:
     Counting references to each array of a nested tuple at each call takes longer than a table look-up, and compiles
     many times slower. numba refuses to compile a kernel that allocates.
     """
-    return _cached(numba.njit(cache=True, _nrt=False)(function))
+    return _cached(function, _nrt=False)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -47,13 +51,35 @@ def inlined(function: Callable[..., Any]) -> Any:
 
     numba passes a named tuple of arrays by value, a hundred words or more, which costs more than most look-ups.
     """
-    return _cached(numba.njit(cache=True, _nrt=False, forceinline=True)(function))
+    return _cached(function, _nrt=False, forceinline=True)
 
 
-def _cached(dispatcher: Any) -> Any:
+def _cached(function: Callable[..., Any], **options: bool) -> Any:
+    try:
+        dispatcher = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # the folder of the code and the user's cache folder are read-only
+        numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = _own_folder()
+        dispatcher = numba.njit(cache=True, **options)(function)
     cache = dispatcher._cache
     cache._cache_file = _Index(cache._cache_path, cache._impl.filename_base, _stamp())
     return dispatcher
+
+
+def _own_folder() -> str:
+    """Return a cache folder below `$DELTASAFE_HOME`, or below the temporary folder.
+
+    numba unpickles what it finds there, so a folder that others can write to is not used.
+    """
+    user, home = os.getuid(), os.environ.get("DELTASAFE_HOME")
+    temporary = pathlib.Path(tempfile.gettempdir(), f"deltasafe-numba-{user}")
+    for folder in ([pathlib.Path(home, "cache", "numba")] if home else []) + [temporary]:
+        with contextlib.suppress(OSError):
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            stat = folder.lstat()
+            is_private = stat.st_uid == user and not stat.st_mode & 0o022 and not folder.is_symlink()
+            if is_private and os.access(folder, os.W_OK):
+                return str(folder)
+    return tempfile.mkdtemp(prefix="deltasafe-numba-")
 
 
 @functools.cache

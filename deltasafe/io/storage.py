@@ -34,7 +34,7 @@ def atomic_file(destination: str | pathlib.Path) -> Iterator[pathlib.Path]:
         try:
             yield temporary
             _sync(temporary)
-            temporary.chmod(0o644)
+            temporary.chmod(0o666 & ~_umask())
             temporary.replace(destination)
             _sync(destination.parent)
         finally:
@@ -67,7 +67,7 @@ def atomic_folder(
             for path in (*temporary.rglob("*"), temporary):
                 if path.is_file() or path.is_dir():
                     _sync(path)
-            temporary.chmod(0o755)
+            temporary.chmod(0o777 & ~_umask())
             _replace_folder(temporary, destination)
             _sync(destination.parent)
         finally:
@@ -171,6 +171,16 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):  # numpy arrays and scalars
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+def _umask() -> int:
+    """Return the umask of this process. Temporary files are private; a finished one has the mode of any other file."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        status = pathlib.Path("/proc/self/status").read_text(encoding="ascii")
+        return int(status.partition("Umask:")[2].split()[0], 8)
+    mask = os.umask(0o077)  # without /proc it can be read only by setting it
+    os.umask(mask)
+    return mask
 
 
 def _sync(path: pathlib.Path) -> None:

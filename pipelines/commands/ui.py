@@ -8,14 +8,17 @@ import socket
 import subprocess
 import sys
 
+from deltasafe.compute.interrupts import interrupts_delayed
 from deltasafe.compute.processes import stop_session
 from deltasafe.errors import SettingsError
 from deltasafe.io.locks import FileLock
 from pipelines.command_line import run_command
 from pipelines.home import PROJECT, mlflow_ui, prepare_home, tracking_uri
-from pipelines.tracking.mlflow_server import local_address, mlflow_command
+from pipelines.tracking.mlflow_server import allow_names, local_address, mlflow_command
 
+POOLS = ("all_cores", "registry")
 LOOPBACK = ("127.0.0.1", "localhost")
+_STOP = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -40,6 +43,8 @@ def _run(options: argparse.Namespace) -> int:
     if not tracking_uri(root).startswith("http"):
         _check_port(options.host, options.mlflow_port, "--mlflow-port")
         os.environ.setdefault("DELTASAFE_MLFLOW_UI", f"http://{shown}:{options.mlflow_port}")
+        if options.host not in LOOPBACK:
+            allow_names(options.host, os.environ["DELTASAFE_MLFLOW_UI"])
         commands.append(mlflow_command(root, options.mlflow_port, options.host))
     with FileLock(root / "ui.lock", timeout_s=0.0):  # a second daemon would start runs twice
         if options.host not in LOOPBACK:
@@ -52,10 +57,14 @@ def _run(options: argparse.Namespace) -> int:
 def _serve(commands: list[list[str]]) -> int:
     """Run the servers until the first one ends or this process is interrupted; return the exit status."""
     # a shell starts background jobs with SIGINT ignored; Dagster would inherit that, and stops its children by SIGINT
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    servers = [subprocess.Popen(command, cwd=PROJECT, start_new_session=True) for command in commands]
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    for number in _STOP:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores it
+            signal.signal(number, _stop)
+    servers: list[subprocess.Popen] = []
     try:
+        for command in commands:
+            with interrupts_delayed():
+                servers.append(subprocess.Popen(command, cwd=PROJECT, start_new_session=True))
         return 0 if servers[0].wait() == 0 else 1
     except KeyboardInterrupt:
         print("\nStopping ...", flush=True)
@@ -65,12 +74,24 @@ def _serve(commands: list[list[str]]) -> int:
             stop_session(server)
 
 
+def _stop(*_: object) -> None:
+    """Interrupt once: further signals are ignored, so that they cannot end the clean-up between two servers."""
+    for number in _STOP:
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
 def _check_dagster() -> None:
-    """Open Dagster's instance: errors in `dagster.yaml` or its database are reported before any server starts."""
+    """Open Dagster's instance: errors in `dagster.yaml` or its database are reported before any server starts.
+
+    It also creates the pools, which the UI otherwise shows only after a run has used them.
+    """
     import dagster as dg
 
     with dg.DagsterInstance.get() as instance:
-        instance.get_runs_count()
+        known = {limit.name for limit in instance.event_log_storage.get_pool_limits()}
+        for pool in {*POOLS} - known:
+            instance.event_log_storage.initialize_concurrency_limit_to_default(pool)
 
 
 def _check_port(host: str, port: int, option: str) -> None:

@@ -46,12 +46,13 @@ class ArtifactStore:
     def publish(self, folder: pathlib.Path) -> Pointer:
         """Make a complete folder available to readers; return a pointer to it.
 
-        Paths below the home are relative to it, so that a home can be moved.
+        Paths below the home and of packaged inputs are relative, so that home and checkout can be moved.
         """
-        try:
-            return {"folder": folder.resolve().relative_to(self.home.resolve()).as_posix()}
-        except ValueError:
-            return {"folder": folder.resolve().as_posix()}
+        resolved = folder.resolve()
+        for key, base in {"folder": self.home.resolve(), "packaged": DATASETS}.items():
+            if resolved.is_relative_to(base):
+                return {key: resolved.relative_to(base).as_posix()}
+        return {"folder": resolved.as_posix()}
 
     def fetch(self, pointer: Pointer, remedy: str) -> pathlib.Path:
         """Return the folder of a pointer on this machine.
@@ -59,7 +60,9 @@ class ArtifactStore:
         Raises:
             DataError: the folder is missing or damaged; the message ends with ``remedy``.
         """
-        folder = self.home / pointer["folder"]
+        folder: pathlib.Path = (
+            DATASETS / pointer["packaged"] if "packaged" in pointer else self.home / pointer["folder"]
+        )
         if not folder.exists():
             raise DataError(folder, f"was removed: {remedy}")
         return folder

@@ -3,22 +3,29 @@
 import contextlib
 import logging
 import pathlib
+import re
 import sqlite3
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from assets.interfaces import TrainedMember
 from deltasafe.io.locks import FileLock
+from pipelines.addresses import masked
 from pipelines.home import set_quiet_environment, tracking_uri
+from pipelines.tracking.artifact_locations import follow_home
 from pipelines.tracking.call_queue import CallQueue
-from pipelines.tracking.mlflow_records import MlflowRecords
+from pipelines.tracking.mlflow_records import MlflowRecords, RecordingBlockedError
 
 _log = logging.getLogger("deltasafe.tracking")
 
-_ESSENTIAL = ("register", "promote", "demote")
+_ESSENTIAL = ("register", "promote")
+_TEMPORARY = (401, 403, 408, 429, 499, 502, 503, 504)
+"""HTTP status of answers that depend on a login, or on the load of the server."""
+_TRANSIENT = re.compile(
+    r"disk is full|disk I/O|No space left|too large|is locked|error code (401|403|408|429|502|503|504) "
+    r"|readonly database|unable to open|Permission denied|Read-only"
+)
 RECORDING_LOG_PREFIX = "MLflow was busy for"
 """Start of the log line with the time that recording took; the seconds follow."""
 
@@ -27,7 +34,7 @@ class MlflowTracker:
     """Records one parent run per ensemble, one child run per member, and versions of one registered model.
 
     Every call is written to a file below the home first. The next call, another process, or
-    `python -m pipelines.tracking.registry replay` sends the pending calls in order. So a server that is away causes
+    `python -m pipelines.commands.registry replay` sends the pending calls in order. So a server that is away causes
     only a warning.
 
     Args:
@@ -56,6 +63,7 @@ class MlflowTracker:
             },
             data=dict(member.data),
             figure=str(member.figure),
+            trained_ms=member.trained_ms,
         )
 
     def report(
@@ -91,42 +99,72 @@ class MlflowTracker:
             return {}
         uri = tracking_uri(self.home)
         if not is_reachable(uri):
-            _log.warning("%s cannot be reached; %d calls wait for it", uri, len(self.pending.files()))
+            _log.warning("%s cannot be reached; %d calls wait for it", masked(uri), len(self.pending.files()))
             return {}
         try:
             with self.records() as records:
-                return self.pending.replay(records.make, lambda: is_reachable(uri))
+                return self.pending.replay(records.make, lambda error: _waits(error, uri))
         except Exception as error:  # e.g. a database that cannot be opened: the calls stay in the queue
-            _log.warning("MLflow at %s cannot be used now (%s); %d calls wait", uri, error, len(self.pending.files()))
+            left = len(self.pending.files())
+            _log.warning("MLflow at %s cannot be used now (%s); %d calls wait", masked(uri), masked(error), left)
             return {}
+
+    def why_pending(self) -> str:
+        """Return why calls wait, and what sends them."""
+        with self.records() as records:
+            return records.obstacle() or "the next call or `python -m pipelines.commands.registry replay` sends them"
 
     @contextlib.contextmanager
     def records(self) -> Iterator[MlflowRecords]:
-        """Open MLflow, for one process at a time: two processes must not migrate a new SQLite database in parallel."""
+        """Open MLflow, for one process at a time: two processes must not migrate a new SQLite database in parallel.
+
+        Errors of MLflow show no password.
+        """
+        from mlflow import MlflowException
+
         set_quiet_environment()
         (self.home / "mlflow").mkdir(parents=True, exist_ok=True)
         began_s = time.monotonic()
         with FileLock(self.home / "mlflow" / "lock"):
-            yield MlflowRecords(tracking_uri(self.home), self.home)
+            follow_home(self.home)
+            try:
+                yield MlflowRecords(tracking_uri(self.home), self.home)
+            except MlflowException as error:
+                error.message = masked(error)
+                error.args = (error.message,)
+                raise
         _log.info("%s %.2f s", RECORDING_LOG_PREFIX, time.monotonic() - began_s)
 
 
 def is_reachable(uri: str, timeout_s: float = 5.0) -> bool:
     """Return whether a server answers at an address, or a database file can be opened or does not exist yet.
 
-    MLflow itself would retry for a minute and a half in every call.
+    MLflow's own client asks, so that its settings for login and TLS apply, but without its retries: they take a minute
+    and a half in every call.
     """
     if uri.startswith("sqlite:///"):
         return _can_open(pathlib.Path(uri.removeprefix("sqlite:///")), timeout_s)
     if not uri.startswith(("http://", "https://")):
         return True
+    from mlflow.utils.credentials import get_default_host_creds
+    from mlflow.utils.rest_utils import http_request
+
     try:
-        urllib.request.urlopen(f"{uri.rstrip('/')}/health", timeout=timeout_s).close()
-    except urllib.error.HTTPError:
-        return True  # the server answers, perhaps with a request to log in
-    except (OSError, ValueError):
+        # any answer counts, a request to log in included
+        http_request(
+            get_default_host_creds(uri), "/health", "GET", max_retries=0, timeout=timeout_s, raise_on_status=False
+        )
+    except Exception as error:  # whatever MLflow's client makes of a wrong address or certificate
+        _log.debug("%s", masked(error))
         return False
     return True
+
+
+def _waits(error: Exception, uri: str) -> bool:
+    """Return whether a failed call may succeed later: no space, no permission, a locked database, no login."""
+    status = getattr(error, "get_http_status_code", lambda: None)()
+    temporary = status in _TEMPORARY or _TRANSIENT.search(f"{error} {error.__cause__}") is not None
+    return temporary or isinstance(error, RecordingBlockedError) or not is_reachable(uri)
 
 
 def _can_open(database: pathlib.Path, timeout_s: float) -> bool:

@@ -12,8 +12,7 @@ import sys
 import pytest
 
 from deltasafe.io.locks import FileLock
-from pipelines.commands import demo, ui
-from pipelines.tracking import registry
+from pipelines.commands import demo, registry, ui
 from tests.loopback import free_ports
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -39,10 +38,7 @@ def error_of(capsys, command, *options):
 
 @pytest.mark.parametrize(
     "module",
-    [
-        *(f"pipelines.commands.{name}" for name in ("demo", "ui", "perception_study", "planner_study")),
-        "pipelines.tracking.registry",
-    ],
+    [f"pipelines.commands.{name}" for name in ("demo", "ui", "registry", "perception_study", "planner_study")],
 )
 def test_an_unknown_preset_is_one_sentence_without_a_traceback(tmp_path, module):
     environment = {**os.environ, "DELTASAFE_PRESET": "papre", "DELTASAFE_HOME": str(tmp_path / "home")}

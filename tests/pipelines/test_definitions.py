@@ -2,6 +2,7 @@
 
 import datetime
 import itertools
+import pathlib
 import re
 
 import dagster as dg
@@ -44,7 +45,7 @@ def specs(defs):
 def test_every_asset_of_the_chain_depends_on_the_one_before(defs):
     found = specs(defs)
     studies = {*STUDY, *PLANNER_STUDY, *SAFETY_STUDY, *TRACKING_STUDY}
-    assert set(found) == {*CHAIN, *studies, *SINGLE_SCENE, "test_hands", "logged_scenes"}
+    assert set(found) == {*CHAIN, *studies, *SINGLE_SCENE, "test_hands", "logged_scenes", "disk_space"}
     for before, after in itertools.pairwise(CHAIN):
         upstream = {dep.asset_key.to_user_string() for dep in found[after].deps}
         assert before in upstream, f"{after} does not depend on {before}"
@@ -76,7 +77,7 @@ def test_every_asset_has_description_owner_kind_version_and_group(defs):
         assert spec.kinds, name
         assert spec.code_version, name
         studies = ("perception_study", "planner_study", "safety_study", "tracking_study")
-        assert spec.group_name in ("perception", "motion", "single_scene", *studies), name
+        assert spec.group_name in ("perception", "motion", "single_scene", "operation", *studies), name
 
 
 def test_checks_before_the_freeze_are_blocking(defs):
@@ -324,6 +325,48 @@ def test_invalid_input_is_not_retried_and_transient_errors_are():
         result = dg.materialize([reader], raise_on_error=False)
         assert len(attempts) == expected
     assert not result.success
+
+
+@pytest.mark.parametrize("policy", [None, dg.RetryPolicy(max_retries=2)], ids=["no policy", "retries"])
+def test_a_missing_input_is_not_retried_and_is_the_first_line_of_the_error(tmp_path, policy):
+    from pipelines.storage.io_manager import FolderPointers
+
+    @dg.asset(retry_policy=policy)
+    def reader(frozen_ensemble: pathlib.Path):
+        pass
+
+    resources = {"io_manager": FolderPointers(home=str(tmp_path))}
+    result = dg.materialize([reader, dg.AssetSpec("frozen_ensemble")], resources=resources, raise_on_error=False)
+    assert not [event for event in result.all_events if event.is_step_up_for_retry]
+    (failure,) = result.get_step_failure_events()
+    assert "materialize frozen_ensemble first" in failure.step_failure_data.error.message.splitlines()[0]
+
+
+def test_definitions_without_a_dagster_home_say_so(monkeypatch, caplog):
+    """`dg dev` in the checkout would run without pools and monitoring."""
+    import importlib
+
+    from pipelines import definitions
+
+    monkeypatch.setenv("DAGSTER_HOME", "")
+    importlib.reload(definitions)
+    assert "no pools and no monitoring; use `make ui`" in caplog.text
+    monkeypatch.setenv("DAGSTER_HOME", "/somewhere")
+    caplog.clear()
+    importlib.reload(definitions)
+    assert not caplog.text
+
+
+def test_the_ui_shows_all_pools_of_a_new_home(tmp_path, monkeypatch, defs):
+    from pipelines.commands import ui
+
+    monkeypatch.setenv("DAGSTER_HOME", str(tmp_path))
+    for _ in range(2):
+        ui._check_dagster()
+    with dg.DagsterInstance.get() as instance:
+        shown = {limit.name: limit.limit for limit in instance.event_log_storage.get_pool_limits()}
+    ops = [definition.op for definition in defs.assets if isinstance(definition, dg.AssetsDefinition)]
+    assert shown == dict.fromkeys({op.pool for op in ops if op.pool}, 1)
 
 
 def test_heavy_assets_share_one_pool_and_are_retried_with_backoff(defs):

@@ -132,14 +132,14 @@ def decide_promotion(
     test: LabeledImageSet,
     cache: pathlib.Path,
     settings: PromotionSettings,
-    demotion_reason: str = "",
+    objection: str = "",
     progress: Progress = silent,
 ) -> PromotionDecision:
     """Decide whether ``challenger`` replaces ``champion`` (None if there is none yet).
 
     Args:
         cache: folder of scores, by ensemble and digest of the test set.
-        demotion_reason: why a person demoted the challenger earlier; if not empty, it is not promoted.
+        objection: decision of a person because of which the challenger is not promoted; empty if there is none.
 
     Raises:
         ArtifactError: an ensemble is not intact.
@@ -147,8 +147,8 @@ def decide_promotion(
     if champion is None or champion.name == challenger.name:
         reason = "the first ensemble" if champion is None else "already in use"
         return PromotionDecision(challenger.name, challenger.name, True, reason)
-    if demotion_reason:
-        return PromotionDecision(champion.name, challenger.name, False, f"taken out of use by hand: {demotion_reason}")
+    if objection:
+        return PromotionDecision(champion.name, challenger.name, False, objection)
     old, new = (score_ensemble(folder, test, cache, progress) for folder in (champion, challenger))
     tests = non_inferiority_tests(old, new, settings)
     failed = [each for each in tests if not each.passed]

@@ -13,6 +13,7 @@ import pytest
 from assets.policies import ON_NEW_ASSET, ON_NEW_DATA
 from assets.single_scene import scenes as scene_partitions
 from deltasafe.compute.processes import is_running
+from pipelines import watched_folders
 from pipelines.automation.lost_runs import fail_lost_runs
 from pipelines.automation.sensors import all_sensors, check_images, check_scenes
 from pipelines.jobs import ALL_MEMBERS
@@ -28,11 +29,16 @@ class Ticks:
 
     def __init__(self, check, folder):
         self.check, self.folder, self.cursor = check, folder, None
+        self.memory = folder.parent / f".memory of {folder.name}"
 
     def __call__(self):
-        result = self.check(dg.build_sensor_context(cursor=self.cursor), self.folder)
+        result = self.check(dg.build_sensor_context(cursor=self.cursor), self.folder, self.memory)
         self.cursor = result.cursor
+        assert len(self.cursor) < 100, "Dagster keeps the cursor of every tick"
         return result
+
+    def skips(self):
+        return self().skip_reason.skip_message
 
 
 @pytest.fixture
@@ -76,18 +82,67 @@ def test_a_changed_mask_counts_and_touched_or_hidden_files_do_not(hands):
     assert tick().run_requests
     (hands / "masks" / "0.png").touch()
     (hands / "masks" / ".1.png.part").write_bytes(b"half")
-    assert tick().skip_reason.skip_message == "nothing new"
+    assert "waiting" in tick.skips()
+    assert tick.skips() == "nothing new"
     shutil.copyfile(hands / "masks" / "1.png", hands / "masks" / "0.png")
     assert "waiting" in tick().skip_reason.skip_message
     assert tick().run_requests
 
 
-def test_a_defective_image_is_named_once_and_starts_nothing(hands):
-    (hands / "images" / "9.png").write_bytes(b"not an image")
+def test_a_defect_is_named_in_every_tick_until_it_is_mended(hands):
+    defective = hands / "images" / "9.png"
+    defective.write_bytes(b"not an image")
     tick = Ticks(check_images, hands)
     tick()
-    assert "9.png" in tick().skip_reason.skip_message
-    assert tick().skip_reason.skip_message == "nothing new"
+    for _ in range(3):
+        assert "9.png" in tick.skips()
+    defective.unlink()
+    assert "waiting" in tick.skips()
+    assert tick().run_requests
+    assert tick.skips() == "nothing new"
+
+
+def test_only_changed_files_are_read_and_only_when_they_are_settled(hands, monkeypatch):
+    read = []
+    real = watched_folders.sha256_of_file
+    monkeypatch.setattr(watched_folders, "sha256_of_file", lambda path: read.append(path.name) or real(path))
+    tick = Ticks(check_images, hands)
+    tick()
+    assert read == []
+    assert tick().run_requests
+    assert sorted(read) == sorted(path.name for path in hands.rglob("*.*"))
+    read.clear()
+    for _ in range(3):
+        assert tick.skips() == "nothing new"
+    (hands / "masks" / "0.png").write_bytes((hands / "masks" / "1.png").read_bytes())
+    stat = (hands / "masks" / "1.png").stat()
+    os.utime(hands / "masks" / "0.png", ns=(stat.st_atime_ns, stat.st_mtime_ns))  # the change time still differs
+    tick()
+    assert tick().run_requests
+    assert read == ["0.png"]
+
+
+def test_a_large_folder_is_read_over_several_ticks(hands, monkeypatch):
+    monkeypatch.setattr("pipelines.automation.sensors._READING_S", 0.0)
+    tick = Ticks(check_images, hands)
+    tick()
+    reasons = []
+    while not (result := tick()).run_requests:
+        reasons.append(result.skip_reason.skip_message)
+    assert len(reasons) == len(list(hands.rglob("*.*"))) - 1
+    assert all("the next tick continues" in reason for reason in reasons)
+    assert digest_of_folder(hands) in result.run_requests[0].run_key
+
+
+def test_a_failed_tick_is_repeated(hands):
+    """Dagster keeps the old cursor if a tick fails after the sensor function: its state must still exist."""
+    tick = Ticks(check_images, hands)
+    tick()
+    before = tick.cursor
+    (lost,) = tick().run_requests
+    tick.cursor = before
+    (again,) = tick().run_requests
+    assert again.run_key == lost.run_key
 
 
 def test_a_missing_folder_is_no_error(tmp_path):
@@ -115,12 +170,16 @@ def test_an_unreadable_scene_is_named(tmp_path):
     (tmp_path / "scene_000" / "scene.json").write_text("{}")
     tick = Ticks(check_scenes, tmp_path)
     tick()
-    assert "scene_000" in tick().skip_reason.skip_message
+    for _ in range(2):
+        assert "scene_000" in tick.skips()
+    shutil.copyfile(SCENES / "scene_000" / "scene.json", tmp_path / "scene_000" / "scene.json")
+    tick()
+    assert [request.partition_key for request in tick().run_requests] == ["scene_000"]
 
 
-def test_only_the_sensor_of_lost_runs_is_on_by_default(tmp_path):
+def test_only_sensors_that_start_nothing_are_on_by_default(tmp_path):
     running = {s.name for s in all_sensors(tmp_path) if s.default_status == dg.DefaultSensorStatus.RUNNING}
-    assert running == {"lost_runs"}
+    assert running == {"lost_runs", "decisions_in_mlflow"}
 
 
 # automation ------------------------------------------------------------------------------------------------------

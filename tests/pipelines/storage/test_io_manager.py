@@ -7,6 +7,7 @@ import pytest
 
 from assets.interfaces import Store
 from deltasafe.errors import DataError, SettingsError
+from pipelines.storage import artifact_store
 from pipelines.storage.io_manager import FolderPointers
 
 PARTS = dg.StaticPartitionsDefinition(["a", "b"])
@@ -48,6 +49,16 @@ def test_a_home_can_be_moved(home, tmp_path):
     materialize(home, [maker(home, "one")])
     moved = home.rename(tmp_path / "elsewhere")
     assert FolderPointers(home=str(moved)).folder(dg.AssetKey("made")) == moved / "store" / "one"
+
+
+def test_a_checkout_can_be_moved(home, tmp_path, monkeypatch):
+    for place in ("here", "there"):
+        (tmp_path / place / "hands").mkdir(parents=True)
+    pointers = FolderPointers(home=str(home))
+    monkeypatch.setattr(artifact_store, "DATASETS", tmp_path / "here")
+    pointers.point(dg.AssetKey("made"), tmp_path / "here" / "hands")
+    monkeypatch.setattr(artifact_store, "DATASETS", tmp_path / "there")
+    assert pointers.folder(dg.AssetKey("made")) == tmp_path / "there" / "hands"
 
 
 def test_partitions_of_one_or_several_runs_are_read_as_a_dictionary(home):

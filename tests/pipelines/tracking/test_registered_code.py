@@ -9,7 +9,7 @@ import pytest
 
 from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
 from pipelines.home import tracking_uri
-from pipelines.tracking import registry
+from pipelines.tracking.frozen_folder import frozen_folder
 from pipelines.tracking.model_versions import CHAMPION, MODEL_NAME
 from pipelines.tracking.tracker import MlflowTracker
 from tests.ensembles import freeze_constant
@@ -88,7 +88,7 @@ def test_our_example_runs_no_code_from_the_registry(mlflow, champion, tampered, 
 
 def test_fetching_the_champion_runs_no_code_from_the_registry(mlflow, champion, tampered, tmp_path):
     version = mlflow.MlflowClient().get_model_version_by_alias(MODEL_NAME, CHAMPION)
-    assert load_ensemble(registry._frozen_folder(version, tmp_path)).folder.name == champion[1].name
+    assert load_ensemble(frozen_folder(version, tmp_path)).folder.name == champion[1].name
     assert not tampered.exists()
 
 

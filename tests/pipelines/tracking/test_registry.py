@@ -5,18 +5,14 @@ from types import SimpleNamespace
 import dagster as dg
 import pytest
 
-from assets.perception import champion
 from deltasafe.errors import DataError
-from pipelines.home import tracking_uri
-from pipelines.resources import RegistryResource, StoreResource
+from pipelines.commands import registry as command
 from pipelines.storage.io_manager import FolderPointers
-from pipelines.tracking import registry as command
+from pipelines.tracking.frozen_folder import frozen_folder
 from pipelines.tracking.model_versions import CHALLENGER, CHAMPION, DEMOTED_TAG, MODEL_NAME
 from pipelines.tracking.tracker import MlflowTracker
 from tests.ensembles import freeze_constant, write_hands
-
-HANDS = dg.AssetKey("test_hands")
-FROZEN = dg.AssetKey("frozen_ensemble")
+from tests.registered import HANDS, aliases, publish, versions
 
 
 @pytest.fixture(scope="module")
@@ -44,34 +40,6 @@ def run(home, instance, monkeypatch):
     monkeypatch.setattr(command, "prepare_home", lambda: home)
     monkeypatch.setattr(dg.DagsterInstance, "get", staticmethod(lambda: instance))
     return lambda *arguments: command.main(list(arguments))
-
-
-def publish(home, instance, folder):
-    """Register and materialize `champion` as the chain does; return the check and the folder in use."""
-    MlflowTracker(home).register("i" * 64, folder)
-    FolderPointers(home=str(home)).point(FROZEN, folder)
-    resources = {
-        "io_manager": FolderPointers(home=str(home)),
-        "store": StoreResource(home=str(home), datasets=str(home)),
-        "registry": RegistryResource(home=str(home)),
-    }
-    upstream = [dg.AssetSpec(FROZEN), dg.AssetSpec(HANDS)]
-    result = dg.materialize([champion, *upstream], resources=resources, instance=instance)
-    (check,) = result.get_asset_check_evaluations()
-    return check, FolderPointers(home=str(home)).folder(dg.AssetKey("champion"), run_id=result.run_id)
-
-
-def aliases(home):
-    from mlflow import MlflowClient
-
-    client = MlflowClient(tracking_uri(home))
-    found = client.get_registered_model(MODEL_NAME).aliases
-    return {alias: client.get_model_version(MODEL_NAME, number).tags["artifact"] for alias, number in found.items()}
-
-
-def versions(home):
-    with MlflowTracker(home).records() as records:
-        return {found.tags["artifact"]: found for found in records.versions()}
 
 
 @pytest.mark.filterwarnings("ignore")  # warnings of MLflow
@@ -134,7 +102,7 @@ def test_rollback_skips_deleted_versions_and_changes_nothing_if_it_fails(tmp_pat
     tracker = MlflowTracker(tmp_path)
     for folder in (first, second, third):
         tracker.register("i" * 64, folder)
-        tracker.call("promote", artifact=folder.name, because="better")
+        tracker.call("promote", artifact=folder.name, because="better", by_hand=True)
     with tracker.records() as records:
         records.client.delete_model_version(MODEL_NAME, records.version_of(second.name).version)
 
@@ -158,7 +126,7 @@ def test_another_machine_fetches_the_champion_from_the_registry(home, frozen, tm
     (found,) = [version for version in versions(home).values() if CHAMPION in version.aliases]
     for machine in (tmp_path / "one", tmp_path / "another"):  # the first download leaves the registry intact
         with MlflowTracker(home).records():
-            fetched = command._frozen_folder(found, machine)
+            fetched = frozen_folder(found, machine)
         assert fetched == machine / "frozen" / frozen["better"].name
         verify_artifact(fetched)
         assert [path.name for path in fetched.parent.iterdir()] == [fetched.name]
@@ -168,7 +136,7 @@ def test_another_machine_fetches_the_champion_from_the_registry(home, frozen, tm
 def test_a_tag_cannot_lead_out_of_the_home(tmp_path, name):
     found = SimpleNamespace(name=MODEL_NAME, version="1", tags={"artifact": name})
     with pytest.raises(DataError, match="not registered by this project"):
-        command._frozen_folder(found, tmp_path / "home")
+        frozen_folder(found, tmp_path / "home")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -2,6 +2,7 @@
 
 import concurrent.futures
 import contextlib
+import dataclasses
 import json
 import multiprocessing
 import os
@@ -82,6 +83,30 @@ def test_a_report_is_recorded_in_the_run_of_its_ensemble(tmp_path):
     child = children["member_00"].info.run_id
     assert [file.path for file in client.list_artifacts(child, "figures")] == ["figures/loss.png"]
     assert parent.inputs.dataset_inputs[0].dataset.digest == "t" * 36
+
+
+def test_recording_again_changes_no_duration_and_a_member_alone_ends_its_parent(tmp_path):
+    began_ms, ended_ms = 1_700_000_000_000, 1_700_000_050_000
+    tracker = MlflowTracker(tmp_path, {"mlflow.user": "someone", "mlflow.source.git.commit": "abc"})
+    first = dataclasses.replace(trained(), trained_ms=(began_ms, ended_ms))
+    tracker.member(IDENTITY, first)
+    (tmp_path / "report").mkdir()
+    for _ in range(2):  # made again later: both members are reused
+        tracker.member(IDENTITY, trained())
+        tracker.report(IDENTITY, {"pa": 0.98}, tmp_path / "report", {})
+    client, parent, children = runs(tracking_uri(tmp_path))
+    for run in (parent, children["member_00"]):
+        assert (run.info.start_time, run.info.end_time, run.info.status) == (began_ms, ended_ms, "FINISHED")
+        assert run.data.tags["mlflow.source.git.commit"] == "abc"
+        assert run.data.tags["mlflow.user"] == "someone"
+    points = client.get_metric_history(children["member_00"].info.run_id, "loss")
+    times_ms = [point.timestamp for point in points]
+    assert times_ms == sorted(set(times_ms))
+    assert (times_ms[0] > began_ms, times_ms[-1]) == (True, ended_ms)
+    tracker.member(IDENTITY, dataclasses.replace(trained("member_01"), trained_ms=(ended_ms, ended_ms + 7000)))
+    _, parent, _ = runs(tracking_uri(tmp_path))
+    assert parent.info.end_time == ended_ms + 7000
+    assert client.get_experiment_by_name(EXPERIMENT).tags["mlflow.experimentKind"] == "custom_model_development"
 
 
 # a server that comes and goes -----------------------------------------------------------------------------------

@@ -110,3 +110,16 @@ def test_a_named_pipe_is_refused_without_blocking(tmp_path):
     os.mkfifo(tmp_path / "a.json")
     with pytest.raises(DataError, match="is not a file"):
         read_json(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("mask", [0o002, 0o022, 0o077], ids=oct)
+def test_files_and_folders_have_the_mode_that_the_umask_gives(tmp_path, mask):
+    before = os.umask(mask)
+    try:
+        write_json(tmp_path / "a.json", {})
+        with atomic_folder(tmp_path / "folder") as temporary:
+            (temporary / "inside").touch()
+    finally:
+        os.umask(before)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.rglob("*")}
+    assert modes == {"a.json": 0o666 & ~mask, "folder": 0o777 & ~mask, "inside": 0o666 & ~mask}

@@ -118,7 +118,7 @@ def test_worse_challenger_is_refused_and_better_one_promoted(case):
 
 def test_demoted_ensemble_is_not_promoted_by_its_scores(case):
     test, good, bad, cache = case
-    verdict = decide_promotion(good, bad, test, cache, DEFAULT, demotion_reason="saw gloves as background")
+    verdict = decide_promotion(good, bad, test, cache, DEFAULT, objection="saw gloves as background")
     assert (verdict.promoted, verdict.champion) == (False, bad.name)
     assert verdict.reason.endswith("saw gloves as background")
 
