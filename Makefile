@@ -23,7 +23,7 @@ RENDERER := $(VENV)/.renderer-installed
 REQUIREMENTS := -e .[vision,sim,mcap,heic,signing] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
-.PHONY: help demo test check docs ui wheel clean lock results record study planner-study safety-study tracking-study benchmarks faults scale operation-record pictures sbom audit registry rollback prune examples surroundings hands scenes team services-test lint-deploy browser-test
+.PHONY: help demo test check docs ui wheel clean lock results record study planner-study safety-study tracking-study benchmarks faults scale operation-record week pictures sbom audit registry rollback prune examples surroundings hands scenes team services-test lint-deploy browser-test
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -111,6 +111,11 @@ scale: $(CLUSTER) ## compare a Ray cluster of two hosts (network namespaces) wit
 operation-record: $(STAMP) ## measure the cost of orchestration, retraining and rollback, after the demo
 	$(BIN)/python -m evidence.operation share --record docs/results/operation.json
 	$(BIN)/python -m evidence.operation tests --record docs/results/operation.json
+	$(BIN)/python -m evidence.operation faults --record docs/results/operation.json
+
+WEEK ?= 200
+week: $(STAMP) ## operate a home in fast motion: runs, kills, decisions by hand, a full disk; hours, WEEK=N runs, resumes
+	$(BIN)/python -m evidence.week --home .deltasafe/week --runs $(WEEK) --record docs/results/operation.json
 
 results: $(STAMP) ## write docs/results/README.md and the figures of README and docs/ from the records
 	$(BIN)/python -m evidence.results_page

@@ -87,6 +87,6 @@ def test_skipped_and_failed_tests_did_not_pass(tmp_path, monkeypatch):
 
 
 def test_tests_of_figures_exist():
-    for name in operation.TESTS.values():
+    for name in {*operation.TESTS.values(), *operation.FAULTS.values()}:
         path, test = name.split("::")
         assert f"def {test}(" in (operation.PROJECT / path).read_text(encoding="utf-8")

@@ -2,7 +2,7 @@
 
 import dagster as dg
 
-from pipelines.commands.demo import everything
+from pipelines.commands import run_job
 from pipelines.home import prepare_home
 from tests.ensembles import write_hands
 
@@ -17,7 +17,7 @@ def test_defective_folders_end_the_run_before_its_first_step(tmp_path, monkeypat
         "logged_scenes": {"config": {"folder": str(tmp_path / "nowhere")}},
     }
     with dg.DagsterInstance.get() as instance:
-        job = dg.reconstructable(everything)
+        job = dg.build_reconstructable_job(run_job.__name__, run_job.job_named.__name__, ("everything",))
         run_id = dg.execute_job(job, instance=instance, run_config={"ops": ops}).run_id
         events = [entry.dagster_event for entry in instance.all_logs(run_id) if entry.dagster_event]
     assert not [event for event in events if event.is_step_event]
