@@ -25,7 +25,6 @@ from deltasafe.errors import DataError
 from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
 from evidence.reporting import command_parser, finish, print_progress
 from pipelines.automation.lost_runs import end_leftover_processes, fail_lost_runs
-from pipelines.build import build_defs
 from pipelines.home import prepare_home
 from pipelines.retention import Retention, RetentionSettings
 from pipelines.storage.io_manager import FolderPointers
@@ -131,7 +130,7 @@ def _day(home: pathlib.Path, instance: dg.DagsterInstance, number: int, event: s
     end_leftover_processes(instance)
     reconcile(registry, instance)
     fault = _fault(registry, instance)
-    retention = Retention(home, instance, KEPT, build_defs(home).resolve_asset_graph().asset_check_keys)
+    retention = Retention(home, instance, KEPT)
     retention.prune(retention.survey())
     finished = (dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED)
     unfinished = sum(run.status not in finished for run in instance.get_runs())

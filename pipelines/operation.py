@@ -38,10 +38,9 @@ def disk_space(context: dg.AssetExecutionContext, config: DiskSpaceConfig) -> dg
     """
     given = {"runs": config.keep_runs, "days": config.keep_days, "versions": config.keep_versions}
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value >= 0}
-    checks = context.repository_def.asset_graph.asset_check_keys
     try:
         settings = dataclasses.replace(RetentionSettings.from_environment(), **chosen)
-        retention = Retention(home(), context.instance, settings, checks)
+        retention = Retention(home(), context.instance, settings)
         found = retention.survey()
     except DeltasafeError as error:
         raise dg.Failure(str(error), allow_retries=False) from error

@@ -98,7 +98,7 @@ class Retention:
         root: the home.
         instance: its Dagster instance.
         settings: how much to keep.
-        checks: keys of the asset checks, whose latest results are kept.
+        checks: keys of the asset checks, whose latest results are kept; by default those of this project.
 
     Raises:
         SettingsError: the artifacts are in a shared store, of which one home cannot know what is used.
@@ -109,12 +109,12 @@ class Retention:
         root: pathlib.Path,
         instance: dg.DagsterInstance,
         settings: RetentionSettings,
-        checks: Iterable[dg.AssetCheckKey] = (),
+        checks: Iterable[dg.AssetCheckKey] | None = None,
     ) -> None:
         if os.environ.get(STORE_VARIABLE):
             raise SettingsError(f"{STORE_VARIABLE} is set: nothing is deleted from a home that shares its artifacts")
         self.root, self.instance, self.settings = root, instance, settings
-        self._checks = list(checks)
+        self._checks = list(_all_checks() if checks is None else checks)
         self._oldest_s = time.time() - settings.days * _DAY_S
 
     def survey(self) -> list[Deletable]:
@@ -257,6 +257,13 @@ class Retention:
             _remove(*(folder for folder in folders if folder.is_relative_to(artifacts)))
 
         return Deletable("mlflow", name, sum(map(_size, folders)), apply)
+
+
+def _all_checks() -> Iterable[dg.AssetCheckKey]:
+    import assets
+
+    found = [*dg.load_assets_from_package_module(assets), *dg.load_asset_checks_from_package_module(assets)]
+    return {spec.key for each in found if isinstance(each, dg.AssetsDefinition) for spec in each.check_specs}
 
 
 def _remove(*paths: pathlib.Path) -> None:

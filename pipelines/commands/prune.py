@@ -22,11 +22,8 @@ def _run(delete: bool) -> int:
 
     import dagster as dg
 
-    from pipelines.build import build_defs
-
-    checks = build_defs(root).resolve_asset_graph().asset_check_keys
     with dg.DagsterInstance.get() as instance:
-        retention = Retention(root, instance, settings, checks)
+        retention = Retention(root, instance, settings)
         found = retention.survey()
         _print(found)
         rows = retention.disk_use(found)

@@ -99,6 +99,13 @@ def test_what_is_young_or_belongs_to_a_run_in_progress_stays(tmp_path, instance)
     assert parts == {"dagster", "store/planned_motions"}
 
 
+def test_the_latest_result_of_every_check_of_the_project_is_kept(tmp_path, instance):
+    from pipelines.build import build_defs
+
+    expected = build_defs(tmp_path).resolve_asset_graph().asset_check_keys
+    assert set(Retention(tmp_path, instance, LITTLE)._checks) == set(expected)
+
+
 def test_an_interrupted_deletion_is_finished(tmp_path, instance):
     (tmp_path / "store" / "planned_motions" / ".0123abcd.removed").mkdir(parents=True)
     retention = Retention(tmp_path, instance, LITTLE)

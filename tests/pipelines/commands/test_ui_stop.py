@@ -18,7 +18,8 @@ SLOW_TO_STOP = (
     "time.sleep(600)"
 )
 PROGRAM = (
-    "import sys\n"
+    "import signal, sys\n"
+    "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
     "from pipelines.commands.ui import _serve\n"
     f"sys.exit(_serve([[sys.executable, '-c', {SLOW_TO_STOP!r}, file] for file in sys.argv[1:]]))"
 )
