@@ -23,7 +23,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.io.storage import read_json
 from pipelines.home import TRACKING_VARIABLE
 from pipelines.storage.shared_store import STORE_VARIABLE
-from pipelines.tracking.mlflow_records import MlflowRecords
+from pipelines.tracking.mlflow_records import IDENTITY_TAG, MlflowRecords
 from pipelines.tracking.superfluous import delete_run, delete_version, superfluous_runs, superfluous_versions
 from pipelines.tracking.tracker import MlflowTracker
 
@@ -241,7 +241,7 @@ class Retention:
             free = superfluous_versions(records, self.settings.versions, oldest_ms)
             numbers = {version.version for version in free}
             stay = [version for version in records.versions() if version.version not in numbers]
-            needed = {str(version.run_id) for version in stay}
+            needed = {name for v in stay for name in (str(v.run_id), v.tags.get(IDENTITY_TAG, ""))}
             runs = superfluous_runs(records, needed, kept, self.settings.runs, oldest_ms)
         found = [self._recorded(f"version {v.version}", [], functools.partial(delete_version, version=v)) for v in free]
         found += [

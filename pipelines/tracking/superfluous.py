@@ -39,7 +39,7 @@ def superfluous_runs(
     """Return ids and artifact folders of runs of ensembles, each after its members, that are not needed.
 
     Args:
-        needed: ids of the runs of registered versions.
+        needed: ids of the runs of registered versions, and identities of their ensembles.
         dagster_runs: ids of the Dagster runs that are kept; what they recorded is needed.
         n_kept: number of the newest ensembles that are needed.
         oldest_ms: younger runs are needed.
@@ -50,7 +50,7 @@ def superfluous_runs(
     free = [
         run.info.run_id
         for run in parents[n_kept:]
-        if run.info.run_id not in needed
+        if not {run.info.run_id, run.data.tags[IDENTITY_TAG]}.intersection(needed)
         and run.data.tags.get("dagster_run_id") not in dagster_runs
         and max(run.info.start_time, run.info.end_time or 0) < oldest_ms
     ]

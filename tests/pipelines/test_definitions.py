@@ -359,8 +359,11 @@ def test_definitions_without_a_dagster_home_say_so(monkeypatch, caplog):
 
 def test_the_ui_shows_all_pools_of_a_new_home(tmp_path, monkeypatch, defs):
     from pipelines.commands import ui
+    from pipelines.home import prepare_home
 
-    monkeypatch.setenv("DAGSTER_HOME", str(tmp_path))
+    for name in ("DELTASAFE_HOME", "DAGSTER_HOME"):
+        monkeypatch.setenv(name, str(tmp_path))
+    prepare_home()
     for _ in range(2):
         ui._check_dagster()
     with dg.DagsterInstance.get() as instance:

@@ -83,6 +83,7 @@ def test_user_name_and_token_of_the_environment_are_used(monkeypatch):
         assert server.seen == [f"Bearer {SECRET}"]
 
 
+@pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
 def test_settings_for_certificates_apply(certificate, monkeypatch):
     with serving(certificate) as server:
         uri = f"https://127.0.0.1:{server.server_port}"

@@ -30,7 +30,7 @@ def test_without_a_writable_cache_the_home_is_used_unless_others_can_write_there
 
     from deltasafe.compute import numba_cache
 
-    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [caching._UserProvidedCacheLocator])
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [caching.UserProvidedCacheLocator])
     for name, value in {"NUMBA_CACHE_DIR": "", "DELTASAFE_HOME": str(tmp_path)}.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
