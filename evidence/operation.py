@@ -43,7 +43,7 @@ FAULTS = {
     "C4": f"{_T}/test_registry.py::test_rollback_skips_deleted_versions_and_changes_nothing_if_it_fails",
     "C5": f"{_BY_HAND}::test_a_moved_alias_is_followed_and_figures_do_not_overrule_it",
     "C6": f"{_BY_HAND}::test_calls_wait_while_the_experiment_is_deleted",
-    "C7": f"{_BY_HAND}::test_without_a_champion_nothing_is_promoted_by_figures",
+    "C7": f"{_BY_HAND}::test_without_a_champion_nothing_is_promoted_until_a_person_chooses",
     "C8": f"{_BY_HAND}::test_an_asset_that_was_wiped_is_not_used",
     "C9": f"{_SENSORS}::test_a_folder_that_returns_to_an_earlier_content_is_trained_on_again",
     "C10": f"{_SENSORS}::test_a_defect_is_named_in_every_tick_until_it_is_mended",

@@ -27,7 +27,7 @@ from pipelines.tracking.mlflow_records import IDENTITY_TAG, MlflowRecords
 from pipelines.tracking.superfluous import delete_run, delete_version, superfluous_runs, superfluous_versions
 from pipelines.tracking.tracker import MlflowTracker
 
-_PREFIX = "DELTASAFE_KEEP_"
+_VARIABLES = {"runs": "DELTASAFE_KEEP_RUNS", "days": "DELTASAFE_KEEP_DAYS", "versions": "DELTASAFE_KEEP_VERSIONS"}
 _DAY_S = 24 * 3600.0
 _FINISHED = [dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED]
 _UNFINISHED = [status for status in dg.DagsterRunStatus if status not in _FINISHED]
@@ -58,14 +58,14 @@ class RetentionSettings:
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> "RetentionSettings":
-        """Read `$DELTASAFE_KEEP_RUNS`, `_DAYS` and `_VERSIONS`.
+        """Read `$DELTASAFE_KEEP_RUNS`, `$DELTASAFE_KEEP_DAYS` and `$DELTASAFE_KEEP_VERSIONS`.
 
         Raises:
             SettingsError: a variable is no number, or negative.
         """
         default, given = dataclasses.asdict(cls()), {}
         for key, value in default.items():
-            name = f"{_PREFIX}{key.upper()}"
+            name = _VARIABLES[key]
             try:
                 given[key] = type(value)(environment.get(name) or value)
             except ValueError:
