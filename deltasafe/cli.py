@@ -17,6 +17,9 @@ def main(arguments: list[str] | None = None) -> int:
     except DeltasafeError as error:
         print(f"deltasafe: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
+    except ModuleNotFoundError as error:
+        print(f"deltasafe: {error.name} is not installed; pip install 'deltasafe[vision]'", file=sys.stderr)
+        return 1
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         print(f"deltasafe: {place}{error.strerror or error}; free it, or give another place", file=sys.stderr)

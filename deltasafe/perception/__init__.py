@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from deltasafe.perception.data.augmentation.settings import AugmentationSettings
     from deltasafe.perception.data.augmented_set import AugmentedSet, augment_images
     from deltasafe.perception.data.dataset_info import DatasetInfo
+    from deltasafe.perception.data.importing.import_hands import import_hands
+    from deltasafe.perception.data.importing.settings import ImportSettings
     from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
     from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble, freeze_ensemble
     from deltasafe.perception.evaluate_folder import evaluate_folder
@@ -32,6 +34,7 @@ __all__ = [
     "EvaluationSettings",
     "FrozenEnsemble",
     "GateThresholds",
+    "ImportSettings",
     "InferenceSettings",
     "LabeledImageSet",
     "Member",
@@ -44,6 +47,7 @@ __all__ = [
     "freeze_ensemble",
     "gate",
     "golden_difference",
+    "import_hands",
     "load_ensemble",
     "read_rgb",
     "require_supported_delta",
@@ -58,6 +62,8 @@ _HOMES = {
     "data.augmentation.settings": ["AugmentationSettings"],
     "data.augmented_set": ["AugmentedSet", "augment_images"],
     "data.dataset_info": ["DatasetInfo"],
+    "data.importing.import_hands": ["import_hands"],
+    "data.importing.settings": ["ImportSettings"],
     "data.labeled_images": ["LabeledImageSet", "check_disjoint"],
     "evaluate_and_freeze": ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"],
     "evaluate_folder": ["evaluate_folder"],

@@ -16,7 +16,7 @@ from deltasafe.io.images import read_image
 from deltasafe.io.storage import digest_of, sha256_of_file
 from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
 from deltasafe.perception.data.labeled_pair import OPTIONS_FILE, SetOptions, aligned_mask, scaled_mask
-from deltasafe.perception.data.masks import polarity_defect, read_marked
+from deltasafe.perception.data.masks import dither_defect, polarity_defect, read_marked
 
 T = TypeVar("T")
 
@@ -239,6 +239,9 @@ def _read_or_note(
         mask = aligned_mask(image, mask, options, (item.image, item.mask)) // 255
     except DataError as error:
         defects.append(error)
+        return None
+    if defect := dither_defect(mask):
+        defects.append(DataError(item.mask, defect))
         return None
     if not options.large_masks and (doubt := polarity_defect(mask)):
         confirm = f'write {{"large_masks": true}} into {item.mask.parents[1] / OPTIONS_FILE} if it is right'

@@ -16,6 +16,8 @@ from deltasafe.io.images import decode_image
 ANY_CLASS = "*"
 MAX_AREA, MAX_BORDER = 0.5, 0.9
 _MAX_NAMED = 8
+_MIN_DITHERED = 100
+"""Marked pixels; a line of one pixel width has two edges for each."""
 Pixels = NDArray[np.uint8]
 Codes = NDArray[np.unsignedinteger[Any]]
 
@@ -154,6 +156,15 @@ def polarity_defect(mask: NDArray[np.generic]) -> str | None:
     if marked.mean() <= MAX_AREA and border.mean() < MAX_BORDER:
         return None
     return f"marks {marked.mean():.0%} of the image and {border.mean():.0%} of its border: is it inverted?"
+
+
+def dither_defect(mask: NDArray[np.generic]) -> str | None:
+    """Say why a mask ``(H, W)`` was probably dithered, as a conversion to one bit does by default: it is all edges."""
+    marked = mask != 0
+    n_edges = np.count_nonzero(marked[1:] != marked[:-1]) + np.count_nonzero(marked[:, 1:] != marked[:, :-1])
+    if n_edges < 2 * max(int(marked.sum()), _MIN_DITHERED):
+        return None
+    return "is speckled, as after dithering; save it again without dithering, or with more than one bit"
 
 
 def _opened(path: pathlib.Path) -> Image.Image:

@@ -8,6 +8,7 @@ from typing import Any
 from deltasafe.perception.data.importing.rasterize import polygons, run_lengths
 from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.importing.source import (
+    Drawing,
     Files,
     Mask,
     Shape,
@@ -42,7 +43,7 @@ def coco_images(path: pathlib.Path, document: Any, files: Files, settings: Impor
             name, found = str(record["file_name"]), shapes[record["id"]]
             size = side_lengths(record) if record.get("height") and record.get("width") else None
             file = files.find(name, *_folders_near(path))
-            images.append(shape_image(name, file, found, size, settings, paints=False, is_labeled=bool(found)))
+            images.append(shape_image(name, file, Drawing(found, size, paints=False), settings, is_labeled=bool(found)))
         return images
 
 

@@ -11,7 +11,15 @@ import numpy as np
 from deltasafe.errors import DataError
 from deltasafe.perception.data.importing.rasterize import ellipse, polygons, row_runs
 from deltasafe.perception.data.importing.settings import ImportSettings
-from deltasafe.perception.data.importing.source import Files, Mask, Shape, SourceImage, label_errors, shape_image
+from deltasafe.perception.data.importing.source import (
+    Drawing,
+    Files,
+    Mask,
+    Shape,
+    SourceImage,
+    label_errors,
+    shape_image,
+)
 
 _AREAS = ("polygon", "mask", "box", "ellipse")
 _NO_AREAS = ("polyline", "points", "cuboid", "skeleton")
@@ -57,7 +65,9 @@ def _image(element: ElementTree.Element, files: Files, folder: pathlib.Path, set
     notes = (f"{others} lines or points left out",) if others else ()
     shapes = [Shape(area.attrib["label"], functools.partial(_draw, area), area.tag == "box") for area in areas]
     image = files.find(name, folder, folder / "images")
-    return shape_image(name, image, shapes, size, settings, paints=True, is_labeled=len(element) > 0, notes=notes)
+    return shape_image(
+        name, image, Drawing(shapes, size, paints=True), settings, is_labeled=len(element) > 0, notes=notes
+    )
 
 
 def _draw(area: ElementTree.Element, height: int, width: int) -> Mask:

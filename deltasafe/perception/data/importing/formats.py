@@ -4,6 +4,7 @@ import pathlib
 from typing import Any
 
 from deltasafe.errors import DataError
+from deltasafe.io.folder_entries import is_clutter
 from deltasafe.perception.data.importing.coco import coco_images
 from deltasafe.perception.data.importing.cvat import cvat_images, parse_xml
 from deltasafe.perception.data.importing.label_studio import label_studio_images
@@ -85,7 +86,7 @@ def _label_files(source: pathlib.Path) -> dict[str, list[tuple[pathlib.Path, Any
     paths = [source] if source.is_file() else sorted(source.rglob("*"))
     for path in paths:
         form, document = None, None
-        if path.name.startswith("."):
+        if is_clutter(*path.relative_to(source).parts):
             continue
         if path.is_dir() and path.name == VOC_MASKS:
             path = path.parent  # noqa: PLW2901

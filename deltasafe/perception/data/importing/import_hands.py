@@ -193,7 +193,7 @@ def _convert(
 
 def _reason_to_skip(image: SourceImage, settings: ImportSettings) -> str:
     if image.image is None:
-        return "the image is missing; put it below the source, or give its folder by --images"
+        return "the image is missing, or its name fits two files; give the folder of the images by --images"
     if not image.is_labeled and not settings.keep_unlabeled:
         return "has no annotation; --keep-unlabeled takes it as free of the obstacle"
     return ""

@@ -5,6 +5,7 @@ import math
 import pathlib
 import re
 import urllib.parse
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from deltasafe.perception.data.importing.rasterize import brush_alpha, ellipse, polygons
 from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.importing.source import (
+    Drawing,
     Files,
     Mask,
     Shape,
@@ -23,6 +25,7 @@ from deltasafe.perception.data.importing.source import (
 )
 
 _AREAS = ("polygon", "brush", "magicwand", "rectangle", "ellipse")
+_NO_AREAS = ("keypoint", "vector")
 _IMAGE = re.compile(r"\.(jpe?g|png|webp|bmp|tiff?|hei[cf]|avif)$", re.IGNORECASE)
 
 
@@ -48,24 +51,16 @@ def _image(task: dict[str, Any], files: Files, folder: pathlib.Path, settings: I
     if len(submitted) > 1:
         kind = "the ground truth" if submitted[-1].get("ground_truth") else "the newest"
         notes += (f"{kind} of {len(submitted)} annotations taken",)
-    regions = _regions(submitted[-1]["result"]) if submitted else []
-    areas = [(label, region) for label, region in regions if _kind(region) in _AREAS]
-    if len(areas) < len(regions):
-        notes += (f"{len(regions) - len(areas)} lines or points left out",)
+    results = submitted[-1]["result"] if submitted else []
+    areas = _regions(results)
+    if others := sum(_kind(result) in _NO_AREAS for result in results):
+        notes += (f"{others} lines or points left out",)
     sizes = {side_lengths(region, "original_height", "original_width") for _, region in areas}
     if len(sizes) > 1:
         raise ValueError(f"the regions of {name} belong to images of several sizes")
     shapes = [Shape(label, functools.partial(_draw, one), _kind(one) == "rectangle") for label, one in areas]
-    return shape_image(
-        name,
-        image,
-        shapes,
-        sizes.pop() if sizes else None,
-        settings,
-        paints=False,
-        is_labeled=bool(submitted),
-        notes=notes,
-    )
+    drawing = Drawing(shapes, sizes.pop() if sizes else None, paints=False)
+    return shape_image(name, image, drawing, settings, is_labeled=bool(submitted), notes=notes)
 
 
 def _reference(data: dict[str, Any]) -> str:
@@ -80,18 +75,24 @@ def _reference(data: dict[str, Any]) -> str:
 
 
 def _regions(results: list[dict[str, Any]]) -> list[tuple[str, dict[str, Any]]]:
-    """Return the regions with their label; a separate control gives region and label as two results with one id."""
-    labels: dict[Any, str] = {}
-    for result in results:
-        for key, value in result.get("value", {}).items():
-            if key.endswith("labels") and value:
-                labels[result.get("id")] = str(value[0])
-    regions = {result.get("id"): result for result in results if _kind(result) not in ("", "labels", "choices")}
-    return [(labels[key], region) for key, region in regions.items() if key in labels]
+    """Return the regions that cover an area, with each of their labels, or ``unlabeled``.
+
+    A separate control for labels gives a region and its labels as two results with one id.
+    """
+    labels: dict[Any, list[str]] = defaultdict(list)
+    regions: dict[Any, dict[str, Any]] = {}
+    for number, result in enumerate(results):
+        key = result.get("id", number)
+        for name, value in result.get("value", {}).items():
+            if name.endswith("labels"):
+                labels[key] += [str(label) for label in value]
+        if _kind(result) in _AREAS:
+            regions.setdefault(key, result)
+    return [(label, region) for key, region in regions.items() for label in labels[key] or ["unlabeled"]]
 
 
 def _kind(result: dict[str, Any]) -> str:
-    return str(result.get("type", "")).removesuffix("labels") or "labels"
+    return str(result.get("type", "")).removesuffix("labels")
 
 
 def _draw(region: dict[str, Any], height: int, width: int) -> Mask:

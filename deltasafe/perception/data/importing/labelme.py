@@ -12,6 +12,7 @@ from PIL import Image
 from deltasafe.perception.data.importing.rasterize import outlined
 from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.importing.source import (
+    Drawing,
     Files,
     Mask,
     Shape,
@@ -46,7 +47,7 @@ def labelme_images(path: pathlib.Path, document: Any, files: Files, settings: Im
             image = base64.b64decode(document["imageData"])
         has_size = document.get("imageHeight") and document.get("imageWidth")
         size = side_lengths(document, "imageHeight", "imageWidth") if has_size else None
-        return [shape_image(name, image, shapes, size, settings, paints=True, is_labeled=True, notes=notes)]
+        return [shape_image(name, image, Drawing(shapes, size, paints=True), settings, is_labeled=True, notes=notes)]
 
 
 def _draw(kind: str, shape: dict[str, Any], height: int, width: int) -> Mask:

@@ -76,43 +76,46 @@ class Shape:
     is_rectangle: bool = False
 
 
+@dataclasses.dataclass(frozen=True)
+class Drawing:
+    """The shapes of an image.
+
+    Attributes:
+        shapes: in the order in which they are drawn.
+        size: height and width that they refer to; None: that of the image file.
+        paints: whether a shape hides those before it, also those of other classes; else shapes may overlap.
+    """
+
+    shapes: Sequence[Shape]
+    size: tuple[int, int] | None
+    paints: bool
+
+
 def shape_image(
     name: str,
     image: pathlib.Path | bytes | None,
-    shapes: Sequence[Shape],
-    size: tuple[int, int] | None,
+    drawing: Drawing,
     settings: ImportSettings,
     *,
-    paints: bool,
     is_labeled: bool,
     notes: tuple[str, ...] = (),
 ) -> SourceImage:
-    """Return an image whose label is a list of shapes.
-
-    Args:
-        name: of the image in the source.
-        image: the file or its bytes; None if it is missing.
-        shapes: in the order in which they are drawn.
-        size: height and width that the shapes refer to; None: that of the image file.
-        settings: say what rectangles mean.
-        paints: whether a shape hides those before it, also those of other classes; else shapes may overlap.
-        is_labeled: whether the source says what the image shows.
-        notes: for the table.
-    """
+    """Return an image whose label is a drawing; see `SourceImage`. The settings say what rectangles mean."""
+    shapes = drawing.shapes
     if settings.rectangles == "ignore":
         shapes = [shape for shape in shapes if not shape.is_rectangle]
     classes = frozenset(shape.label for shape in shapes) - BACKGROUND
     fills = settings.rectangles == "fill"
 
     def mask(chosen: Collection[str]) -> Mask:
-        height, width = size or image_size(image)
+        height, width = drawing.size or image_size(image)
         marked = np.zeros((height, width), bool)
         for shape in shapes:
             is_chosen = shape.label in chosen
             if shape.is_rectangle and not fills:
                 if is_chosen:
                     raise ValueError(f"a rectangle of {shape.label}; give --rectangles fill, or ignore")
-            elif is_chosen or paints:
+            elif is_chosen or drawing.paints:
                 marked[shape.draw(height, width)] = is_chosen
         return marked
 

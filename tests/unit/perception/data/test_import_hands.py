@@ -3,6 +3,7 @@
 import json
 import pathlib
 import shutil
+import sys
 
 import cv2
 import numpy as np
@@ -290,3 +291,29 @@ def test_command_writes_sheet_and_tables(source, tmp_path, capsys):
     assert (tinted[..., 2] - tinted[..., 0] > 30).any()
     assert cli.main(["hands", "import", str(folder), str(out)]) == 1
     assert "exists already" in capsys.readouterr().err
+
+
+def test_label_studio_labels_in_a_control_of_their_own(source, tmp_path):
+    """A region and its labels are two results; a region may have two labels, or none."""
+    folder = source("label-studio")
+    tasks = json.loads((folder / "tasks.json").read_text())
+    first, cup, second = tasks[0]["annotations"][0]["result"]
+    for region in (first, second):
+        region["type"], _ = "polygon", region["value"].pop("polygonlabels")
+    named = {"id": first["id"], "type": "labels", "value": {"labels": ["hand", "left"]}, "to_name": "image"}
+    tasks[0]["annotations"][0]["result"] = [first, cup, named, second]
+    (folder / "tasks.json").write_text(json.dumps(tasks))
+    with pytest.raises(DataError, match=r"hand \(2 images\), left \(1 images\), unlabeled \(1 images\)"):
+        import_hands(folder, tmp_path / "out")
+    import_hands(folder, tmp_path / "out", ImportSettings(classes=("left", "unlabeled")))
+    expected = np.asarray(Image.open(GOLDEN / "expected" / "label-studio" / "one hand.png"))
+    np.testing.assert_array_equal(masks_of(tmp_path / "out")["one hand"], expected)
+
+
+def test_command_without_the_extra_names_it(source, tmp_path, capsys, monkeypatch):
+    folder = source("coco")
+    for name in [name for name in sys.modules if "importing.import_hands" in name]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "deltasafe.perception.data.importing.formats", None)
+    assert cli.main(["hands", "import", str(folder), str(tmp_path / "out")]) == 1
+    assert "deltasafe[vision]" in capsys.readouterr().err

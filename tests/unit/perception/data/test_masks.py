@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from deltasafe.errors import DataError
-from deltasafe.perception.data.masks import polarity_defect, read_marked, read_mask, read_mask_plane
+from deltasafe.perception.data.masks import dither_defect, polarity_defect, read_marked, read_mask, read_mask_plane
 
 BINARY = arrays.arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9))).filter(lambda mask: mask.any())
 
@@ -160,3 +160,10 @@ def test_a_hand_from_the_border_is_not_suspect(square):
     hand[20:50, :35] = True
     assert polarity_defect(hand) is None
     assert "marks 78% of the image and 89% of its border" in polarity_defect(~hand)
+
+
+def test_dithered_masks_are_noticed_and_thin_ones_are_not(square):
+    gray_hand = Image.fromarray(np.kron(square, np.full((8, 8), 90, np.uint8)))
+    assert "dithering" in dither_defect(np.asarray(gray_hand.convert("1")))
+    assert dither_defect(np.kron(square, np.ones((8, 8), bool))) is None
+    assert dither_defect(np.eye(300, dtype=bool)[:, ::-1] | np.eye(300, k=1, dtype=bool)[:, ::-1]) is None
