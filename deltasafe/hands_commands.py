@@ -25,6 +25,12 @@ def add_hands_commands(commands: "argparse._SubParsersAction[argparse.ArgumentPa
         help="class that is the obstacle, also a gray value (255) or color (#ff0000) of masks without names; "
         "several are merged, '*' takes all",
     )
+    add(
+        "--obstacle",
+        default="",
+        metavar="NAME",
+        help="what the classes are (default: hand, or their names)",
+    )
     add("--threshold", type=float, default=0.0, help="of soft masks: fraction of full scale from which it is obstacle")
     add("--alpha", action="store_true", help="the alpha channel of the mask files is the mask")
     add("--inverted", action="store_true", help="the mask files mark the background")

@@ -12,8 +12,9 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from deltasafe.errors import DataError
+from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_folder, digest_of, write_json
+from deltasafe.perception.data.dataset_info import DatasetInfo
 from deltasafe.perception.data.importing.formats import read_source
 from deltasafe.perception.data.importing.mask_sheets import write_mask_sheets
 from deltasafe.perception.data.importing.settings import ImportSettings
@@ -51,6 +52,7 @@ class ImportReport:
         folder: of the new set.
         format: of the source.
         classes: that are the obstacle.
+        obstacle: what the new set calls them.
         images: of the source, in its order.
     """
 
@@ -60,6 +62,7 @@ class ImportReport:
     folder: pathlib.Path
     format: str
     classes: tuple[str, ...]
+    obstacle: str
     images: tuple[ImportedImage, ...]
 
     @property
@@ -78,7 +81,7 @@ class ImportReport:
     def summary(self) -> str:
         """Say in one sentence what was converted."""
         n = len(self.images) - len(self.skipped)
-        obstacle = ", ".join(self.classes)
+        obstacle = f"{', '.join(self.classes)} (recorded as {self.obstacle})"
         return f"{n} images of the format {self.format}, obstacle: {obstacle}; {len(self.skipped)} skipped"
 
 
@@ -98,6 +101,7 @@ def import_hands(
     Raises:
         DataError: the source is unreadable or its meaning is ambiguous, nothing can be converted, or ``folder`` is
             in use.
+        SettingsError: the obstacle cannot be named after its classes.
     """
     source, folder, settings = pathlib.Path(source), pathlib.Path(folder), settings or ImportSettings()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -105,15 +109,17 @@ def import_hands(
     labels = read_source(source, settings)
     classes = _chosen_classes(source, labels, settings)
     _check_polarity(source, labels, classes, settings)
+    info = _dataset_info(source, labels, classes, settings)
     drawn_on = settings.masks_drawn_on or ("" if labels.has_mask_files else "upright")
     # outlines and named classes cannot be inverted, and plain masks are checked above
     options = SetOptions(drawn_on, large_masks=True)
     with atomic_folder(folder) as temporary:
         images = _convert(labels, classes, settings, options, temporary)
-        report = ImportReport(folder, labels.format, tuple(classes), images)
+        report = ImportReport(folder, labels.format, tuple(classes), info.obstacle, images)
         if not any(image.marked for image in images):
             raise DataError(source, f"marks no obstacle that can be converted: {_reasons(images)}; label images")
         write_json(temporary / OPTIONS_FILE, options)
+        info.save(temporary)
         write_mask_sheets(LabeledImageSet.load(temporary), temporary / report.SHEET)
         (temporary / report.TABLE).write_text(report.text(), encoding="utf-8")
         record = {"format": labels.format, "settings": settings, "classes": classes, "images": images}
@@ -146,6 +152,28 @@ def _chosen_classes(source: pathlib.Path, labels: LabelSource, settings: ImportS
         soft = ", or --threshold 0.5 if the masks are soft" if any(image.mask_file for image in labels.images) else ""
         raise DataError(source, f"has several classes: {listed}; give --class for each that is the obstacle{soft}")
     return list(settings.classes) or sorted(counts)
+
+
+def _dataset_info(
+    source: pathlib.Path, labels: LabelSource, classes: list[str], settings: ImportSettings
+) -> DatasetInfo:
+    """Return what the new set calls its obstacle; a source of our own format keeps its information.
+
+    Raises:
+        DataError: the ``dataset.json`` of the source is invalid.
+        SettingsError: ``settings.obstacle`` is no identifier.
+    """
+    if settings.obstacle:
+        return DatasetInfo(settings.obstacle)
+    if labels.format == "folder":
+        return DatasetInfo.load(source)
+    names = [re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") for name in classes]
+    if all(re.search(r"(^|_)(left|right)?hands?($|_)", name) or name.isdigit() for name in names):
+        return DatasetInfo()
+    obstacle = "_or_".join(names)
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,49}", obstacle):
+        raise SettingsError(f"the obstacle needs a name for {', '.join(classes)}; give --obstacle, for example cup")
+    return DatasetInfo(obstacle)
 
 
 def _check_polarity(source: pathlib.Path, labels: LabelSource, classes: list[str], settings: ImportSettings) -> None:

@@ -17,6 +17,8 @@ class ImportSettings:
         format: of the source; ``auto`` recognizes it by its files.
         classes: that are the obstacle: names, or gray values (255) and colors (#ff0000) of masks without names; * takes
             all. Empty: the only class that the source has.
+        obstacle: identifier of what the classes are, for ``dataset.json``. Empty: ``hand`` if the masks have no class
+            names or the names say so, else the names of the classes.
         threshold: of soft masks, a fraction of full scale; pixels at or above it are obstacle. 0 refuses soft masks.
         alpha: the alpha channel of the mask files is the mask.
         inverted: the mask files mark the background.
@@ -33,6 +35,7 @@ class ImportSettings:
 
     format: str = "auto"
     classes: tuple[str, ...] = ()
+    obstacle: str = ""
     threshold: float = 0.0
     alpha: bool = False
     inverted: bool = False

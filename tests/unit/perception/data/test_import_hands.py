@@ -282,7 +282,7 @@ def test_command_writes_sheet_and_tables(source, tmp_path, capsys):
     assert cli.main(["hands", "import", str(folder), str(out), "--class", "hand"]) == 0
     printed = capsys.readouterr().out
     assert "skipped nothing.jpg: has no annotation" in printed
-    assert "3 images of the format cvat, obstacle: hand; 1 skipped" in printed
+    assert "3 images of the format cvat, obstacle: hand (recorded as hand); 1 skipped" in printed
     assert "| nothing.jpg | skipped |" in (out / "import.md").read_text()
     assert json.loads((out / "import.json").read_text())["classes"] == ["hand"]
     with Image.open(out / "contact_sheet.jpg") as sheet:
@@ -317,3 +317,17 @@ def test_command_without_the_extra_names_it(source, tmp_path, capsys, monkeypatc
     monkeypatch.setitem(sys.modules, "deltasafe.perception.data.importing.formats", None)
     assert cli.main(["hands", "import", str(folder), str(tmp_path / "out")]) == 1
     assert "deltasafe[vision]" in capsys.readouterr().err
+
+
+def test_set_is_named_after_its_classes(source, tmp_path):
+    folder = source("coco")
+    named = {"cup": ("cup",), "hand": ("hand",), "hand_or_cup": ("hand", "cup")}
+    for obstacle, classes in named.items():
+        report = import_hands(folder, tmp_path / obstacle, ImportSettings(classes=classes))
+        assert report.obstacle == LabeledImageSet.load(tmp_path / obstacle).info.obstacle == obstacle
+    import_hands(source("voc"), tmp_path / "voc-out", ImportSettings(classes=("person",), obstacle="hand"))
+    assert LabeledImageSet.load(tmp_path / "voc-out").info.obstacle == "hand"
+    again = import_hands(tmp_path / "cup", tmp_path / "again")
+    assert (again.format, again.obstacle) == ("folder", "cup")
+    with pytest.raises(SettingsError, match="obstacle must be an identifier"):
+        import_hands(folder, tmp_path / "out", ImportSettings(classes=("cup",), obstacle="Cup!"))
