@@ -249,10 +249,11 @@ def frozen_ensemble(
     """
     from deltasafe.perception.data.labeled_images import LabeledImageSet
     from deltasafe.perception.evaluate_and_freeze import freeze_ensemble
+    from deltasafe.perception.settings import EVALUATION_PIXELS
     from deltasafe.perception.training.member import Member
 
     trained = [Member.load(folder) for _, folder in sorted(ensemble_member.items())]
-    golden_rgb, _ = LabeledImageSet.load(raw_hands).read(0)
+    golden_rgb, _ = LabeledImageSet.load(raw_hands).read(0, EVALUATION_PIXELS)
     folder = freeze_ensemble(trained, calibration_report, golden_rgb, store.home / "frozen")
     page = tracker.register(trained[0].ensemble_identity, folder)
     card = dg.MetadataValue.md((folder / "model_card.md").read_text(encoding="utf-8"))

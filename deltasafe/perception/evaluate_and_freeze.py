@@ -16,10 +16,10 @@ from deltasafe.perception.calibration.evaluation import evaluate
 from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
 from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
 from deltasafe.perception.calibration.write_report import write_calibration_report
-from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
+from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint, check_distinct
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.inference.predictions import MemberPredictions
-from deltasafe.perception.settings import InferenceSettings
+from deltasafe.perception.settings import EVALUATION_PIXELS, InferenceSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.train_member import pick_device
 
@@ -51,6 +51,8 @@ def evaluate_ensemble(
 ) -> CalibrationReport:
     """Evaluate members and ensembles of growing size on labeled images, and write the calibration report.
 
+    Images of more than ``EVALUATION_PIXELS`` pixels are scaled down with their masks. One image at a time is in memory.
+
     Args:
         members: of one ensemble.
         test: labeled images that were not used for training. Each is predicted once with every member.
@@ -62,12 +64,14 @@ def evaluate_ensemble(
 
     Raises:
         SettingsError: the members were trained with different settings or data.
-        DataError: an image is in both sets.
+        DataError: an image is in both sets, or twice in one of them.
     """
     folder, settings = pathlib.Path(folder), settings or EvaluationSettings()
     if len({member.ensemble_identity for member in members}) > 1:
         raise SettingsError("the members were trained with different settings or data; train all of them again")
+    check_distinct(test, "test")
     if calibration_images is not None:
+        check_distinct(calibration_images, "calibration")
         check_disjoint(calibration_images, test, "calibration")
     ensemble = Ensemble([member.network() for member in members], settings.inference, str(pick_device(device)))
     evaluated = _labeled_predictions(ensemble, test, folder.with_name(f"{folder.name}-predictions"), progress)
@@ -125,15 +129,15 @@ def freeze_ensemble(
 def predict_images(
     ensemble: Ensemble, images: LabeledImageSet, folder: str | pathlib.Path, progress: Progress = silent
 ) -> MemberPredictions:
-    """Predict every image once with all members, and store the predictions in ``folder``."""
+    """Predict every image once with all members, at the size of `read_labels`, and store the predictions."""
     load = _image_loader(images)
     ids = [item.id for item in images.items]
     return MemberPredictions.write(folder, ids, lambda image_id: ensemble.member_p_occupied(load(image_id)), progress)
 
 
 def read_labels(images: LabeledImageSet) -> list[NDArray[np.bool_]]:
-    """Read the (H, W) labels of all images."""
-    return [images.read(index)[1].astype(bool) for index in range(len(images))]
+    """Read the (H, W) labels of all images, at a size of at most ``EVALUATION_PIXELS`` pixels."""
+    return [images.read(index, EVALUATION_PIXELS)[1].astype(bool) for index in range(len(images))]
 
 
 def _labeled_predictions(
@@ -145,7 +149,7 @@ def _labeled_predictions(
 
 def _image_loader(images: LabeledImageSet) -> Callable[[str], NDArray[np.uint8]]:
     position = {item.id: index for index, item in enumerate(images.items)}
-    return lambda image_id: images.read(position[image_id])[0]
+    return lambda image_id: images.read(position[image_id], EVALUATION_PIXELS)[0]
 
 
 def _weights(members: Sequence[Member]) -> list[str]:

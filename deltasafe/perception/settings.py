@@ -14,6 +14,9 @@ BACKBONES = ("efficientnet_lite0", "mobilenet_v3_large", "resnet50")
 PRECISIONS = ("auto", "float32", "bfloat16")
 SCHEDULES = ("one_cycle", "exponential")
 
+EVALUATION_PIXELS = 2**19
+"""Larger images are scaled down to this number for evaluation: ten times the networks' input, and bounded memory."""
+
 _STRIDE = 16
 _MAX_SIZE = 8192
 _TORCHVISION_RATES = (12, 24, 36)

@@ -18,7 +18,7 @@ from deltasafe.perception.artifact.frozen_ensemble import load_ensemble, verify_
 from deltasafe.perception.calibration.metrics import ImageScores, bootstrap_scores, score_image
 from deltasafe.perception.calibration.reliability import bootstrap_weights
 from deltasafe.perception.data.labeled_images import LabeledImageSet
-from deltasafe.perception.settings import PromotionSettings
+from deltasafe.perception.settings import EVALUATION_PIXELS, PromotionSettings
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +119,7 @@ def score_ensemble(
         return tuple(from_json(ImageScores, entry) for entry in read_json(file))
     ensemble, scores = load_ensemble(folder), []
     for index in range(len(test)):
-        rgb, mask = test.read(index)
+        rgb, mask = test.read(index, EVALUATION_PIXELS)
         scores.append(score_image(ensemble.p_occupied(rgb), mask))
         progress(index + 1, len(test), f"{folder.name} on {test.items[index].id}")
     write_json(file, scores)

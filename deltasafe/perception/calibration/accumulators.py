@@ -61,15 +61,19 @@ class PredictorAccumulator:
 
 @dataclasses.dataclass
 class SafetyAccumulator:
-    """Counts and distances that delta and margin are fitted on; both lists have one entry per image."""
+    """Counts and distances that delta and margin are fitted on; both lists have one entry per image.
+
+    An image without a hand has no distance.
+    """
 
     counts: list[BinCounts] = dataclasses.field(default_factory=list)
-    hausdorff: list[NDArray[np.float64]] = dataclasses.field(default_factory=list)
+    hausdorff: list[NDArray[np.float64] | None] = dataclasses.field(default_factory=list)
 
     def add(self, p_occupied: Probability, label: Mask, valid: Mask | None = None) -> None:
         """Add one image, all arguments (H, W); pixels outside ``valid`` do not count."""
+        hand = label if valid is None else label & valid
         self.counts.append(safety_counts(*valid_pixels(p_occupied, label, valid)))
-        self.hausdorff.append(hausdorff_at_delta(p_occupied, label if valid is None else label & valid))
+        self.hausdorff.append(hausdorff_at_delta(p_occupied, hand) if hand.any() else None)
 
 
 @dataclasses.dataclass

@@ -94,7 +94,7 @@ class DeltaSupport:
 
     Attributes:
         delta: the threshold.
-        free_fraction: fraction of all pixels with p_occupied <= delta.
+        free_fraction: fraction of the pixels of all images with a hand that have p_occupied <= delta.
         occupied_fraction: fraction of those that are occupied; None without such pixels.
         upper_bound: upper confidence bound of ``occupied_fraction`` (see `delta_support`).
         miss_rate_mean: fraction of an image's hand pixels with p_occupied <= delta, mean over images with a hand.
@@ -119,7 +119,7 @@ class HeldOutDelta:
         n_fits: number of fits.
         n_without_delta: fits that supported no delta.
         lowest, highest: range of the fitted deltas.
-        free_fraction: fraction of all pixels that count as free at the delta of their fit.
+        free_fraction: fraction of the pixels of all images with a hand that count as free at the delta of their fit.
         occupied_fraction: fraction of those that are occupied; it should be at most delta.
     """
 
@@ -147,6 +147,9 @@ def delta_support(
     occurs in up to 3 / (N + 1) of all cases. With 50 images in which the hand covers a quarter, a delta below about
     0.02 is out of reach, however good the network is.
 
+    Only images with a hand count. Others cannot show a miss, and would lower the fraction without any evidence that
+    hands are seen; without any image of a hand no delta is supported.
+
     The bound is an average over the pixels that count as free, most of which are far from any hand. The safety diagram
     and the miss rates per image show where the network is worse than this average.
 
@@ -156,6 +159,9 @@ def delta_support(
         level: one-sided confidence.
         seed: of the bootstrap.
     """
+    counts = _with_hand(counts)
+    if len(counts.count) == 0:
+        return tuple(DeltaSupport(delta, 0.0, None, 1.0, None, None, False) for delta in DELTA_GRID)
     free, missed = cumulative_safety_counts(counts)
     pixels, hand = counts.count.sum(axis=1), counts.event.sum(axis=1)
     # the additional image
@@ -165,7 +171,7 @@ def delta_support(
     # a sample without free pixels is no evidence for delta
     samples = np.nan_to_num(ratio(weights @ missed_samples, weights @ free_samples), nan=1.0)
     bound = np.quantile(samples, level, axis=0, method="higher")
-    miss_rate = missed[hand > 0] / hand[hand > 0, None]
+    miss_rate = missed / hand[:, None]
     occupied = ratio(missed.sum(axis=0), free.sum(axis=0))
     holds = bound <= np.array(DELTA_GRID)
     supported = np.logical_and.accumulate(holds[::-1])[::-1]
@@ -175,8 +181,8 @@ def delta_support(
             free_fraction=float(free[:, k].sum() / pixels.sum()),
             occupied_fraction=None if np.isnan(occupied[k]) else float(occupied[k]),
             upper_bound=float(bound[k]),
-            miss_rate_mean=float(miss_rate[:, k].mean()) if len(miss_rate) else None,
-            miss_rate_worst=float(miss_rate[:, k].max()) if len(miss_rate) else None,
+            miss_rate_mean=float(miss_rate[:, k].mean()),
+            miss_rate_worst=float(miss_rate[:, k].max()),
             supported=bool(supported[k]),
         )
         for k, delta in enumerate(DELTA_GRID)
@@ -195,27 +201,28 @@ def held_out_support(
     """Evaluate the smallest supported delta on images that it was not fitted on.
 
     Args:
-        counts: `safety_counts` of N images.
+        counts: `safety_counts` of N images; only those with a hand are evaluated.
         fits: counts of the images of each fit.
         held_out: for each fit, the indices into ``counts`` of the images to evaluate it on.
         n_bootstrap, level, seed: of `delta_support`.
     """
     free, missed = cumulative_safety_counts(counts)
+    has_hand = counts.event.sum(axis=1) > 0
     deltas: list[float] = []
     n_free = n_missed = 0
     for fit, images in zip(fits, held_out, strict=True):
         delta = smallest_supported_delta(delta_support(fit, n_bootstrap=n_bootstrap, level=level, seed=seed))
         if delta is not None:
-            k = DELTA_GRID.index(delta)
+            k, counted = DELTA_GRID.index(delta), images[has_hand[images]]
             deltas.append(delta)
-            n_free += int(free[images, k].sum())
-            n_missed += int(missed[images, k].sum())
+            n_free += int(free[counted, k].sum())
+            n_missed += int(missed[counted, k].sum())
     return HeldOutDelta(
         n_fits=len(fits),
         n_without_delta=len(fits) - len(deltas),
         lowest=min(deltas, default=None),
         highest=max(deltas, default=None),
-        free_fraction=n_free / int(counts.count.sum()),
+        free_fraction=n_free / max(int(counts.count[has_hand].sum()), 1),
         occupied_fraction=n_missed / n_free if n_free else None,
     )
 
@@ -231,6 +238,10 @@ def cumulative_safety_counts(counts: BinCounts) -> tuple[NDArray[np.float64], ND
     """
     free = np.cumsum(counts.count, axis=1, dtype=np.float64)[:, :-1]
     return free, np.cumsum(counts.event, axis=1, dtype=np.float64)[:, :-1]
+
+
+def _with_hand(counts: BinCounts) -> BinCounts:
+    return counts.take(np.flatnonzero(counts.event.sum(axis=1)))
 
 
 def smallest_supported_delta(support: tuple[DeltaSupport, ...]) -> float | None:

@@ -226,8 +226,8 @@ class _Evaluation:
             missed_at_delta=tuple(
                 tuple((row / n).tolist()) if n else None for row, n in zip(missed, n_hand, strict=True)
             ),
-            hausdorff_at_delta=tuple(finite_or_none(row) for row in whole.safety.hausdorff),
-            calibration_hausdorff_at_delta=tuple(finite_or_none(row) for row in further),
+            hausdorff_at_delta=tuple(row if row is None else finite_or_none(row) for row in whole.safety.hausdorff),
+            calibration_hausdorff_at_delta=tuple(row if row is None else finite_or_none(row) for row in further),
         )
 
     @property

@@ -9,6 +9,7 @@ All metrics of this project are defined here (decision 3):
 - BS, Brier score: mean over all pixels of (p_occupied - occupied)^2, one class;
 - NLL: mean over all pixels of -log of the probability of the true class, in nats, with ``p_occupied`` clipped to
   [1e-7, 1 - 1e-7];
+- an image without a hand counts in PA, mIoU, BS and NLL: its IoU of hand is 1 without false alarms, else 0;
 - missed-hand rate: fraction of an image's hand pixels that are predicted free; undefined without a hand;
 - "+-" is one standard deviation over members (n - 1 in the denominator).
 

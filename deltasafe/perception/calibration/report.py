@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 import pathlib
 import typing
 
@@ -108,8 +109,8 @@ class EvaluationResult:
         missed_at_delta: for each image, the fraction of its hand pixels with p_occupied <= delta, delta in
             ``DELTA_GRID``; None for an image without a hand.
         hausdorff_at_delta: for each image, the directed Hausdorff distance of its hand to the pixels with p_occupied >
-            delta, delta in ``DELTA_GRID``, as fraction of the image's width; None for an infinite one. Empty in
-            reports that were stored before this field existed.
+            delta, delta in ``DELTA_GRID``, as fraction of the image's width; None for an infinite one, and for an
+            image without a hand. Empty in reports that were stored before this field existed.
         calibration_hausdorff_at_delta: the same of the calibration images; empty if there are none.
     """
 
@@ -123,8 +124,8 @@ class EvaluationResult:
     support: tuple[DeltaSupport, ...]
     held_out_delta: HeldOutDelta | None
     missed_at_delta: tuple[tuple[float, ...] | None, ...]
-    hausdorff_at_delta: tuple[tuple[float | None, ...], ...] = ()
-    calibration_hausdorff_at_delta: tuple[tuple[float | None, ...], ...] = ()
+    hausdorff_at_delta: tuple[tuple[float | None, ...] | None, ...] = ()
+    calibration_hausdorff_at_delta: tuple[tuple[float | None, ...] | None, ...] = ()
 
     @property
     def smallest_supported_delta(self) -> float | None:
@@ -133,13 +134,20 @@ class EvaluationResult:
 
     @property
     def margins(self) -> ConformalMargins | None:
-        """Conformal margins of the calibration images, or of the test images; None in an older stored report."""
-        rows = self.calibration_hausdorff_at_delta or self.hausdorff_at_delta
+        """Conformal margins of the calibration images with a hand, or of the test images.
+
+        None without an image of a hand, and in an older stored report.
+        """
+        rows = tuple(row for row in self.calibration_hausdorff_at_delta or self.hausdorff_at_delta if row is not None)
         return ConformalMargins.of_images(with_infinity(rows)) if rows else None
 
     def hausdorff_at(self, delta: float) -> NDArray[np.float64]:
-        """Return (N,) distances of the test images, delta rounded up to the next value of ``DELTA_GRID``."""
-        return with_infinity(self.hausdorff_at_delta)[:, delta_index(delta)]
+        """Return (N,) distances of the test images, delta rounded up to the next value of ``DELTA_GRID``.
+
+        NaN for an image without a hand.
+        """
+        unknown = (math.nan,) * len(DELTA_GRID)
+        return with_infinity(tuple(row or unknown for row in self.hausdorff_at_delta))[:, delta_index(delta)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -241,7 +249,13 @@ class CalibrationReport:
     @property
     def farthest_missed(self) -> int | None:
         """Index of the image whose hand lies farthest from the pixels with p_occupied > ``grid_delta``."""
-        return int(np.argmax(self.final.hausdorff_at(self.grid_delta))) if self.final.hausdorff_at_delta else None
+        known = any(self.final.hausdorff_at_delta)
+        return int(np.nanargmax(self.final.hausdorff_at(self.grid_delta))) if known else None
+
+    @property
+    def false_alarm_rates(self) -> dict[int, float]:
+        """Fraction of the pixels predicted occupied, by index of the image, of images without a hand, largest first."""
+        return self._largest_first({i: im.false_alarm_rate for i, im in enumerate(self.images) if not im.n_hand_pixels})
 
     @property
     def worst_first(self) -> tuple[int, ...]:

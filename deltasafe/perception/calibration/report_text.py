@@ -104,7 +104,8 @@ def _coverage_row(report: CalibrationReport, margin: ConformalMargin) -> tuple[s
     )
     if not report.calibration_image_ids:
         return row
-    contained = report.final.hausdorff_at(report.grid_delta) <= margin.fraction_of_width
+    scores = report.final.hausdorff_at(report.grid_delta)
+    contained = scores[~np.isnan(scores)] <= margin.fraction_of_width
     n_contained, n = int(contained.sum()), len(contained)
     interval = binomtest(n_contained, n).proportion_ci(method="exact")
     return (*row, f"{n_contained} of {n} ({interval.low:.1%} to {interval.high:.1%})")

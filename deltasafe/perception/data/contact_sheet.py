@@ -16,6 +16,7 @@ from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.labeled_images_figure import evenly_spaced
 
+_SHOWN_PIXELS = 2**18
 OUTLINE_RGB = (0.0, 0.85, 1.0)
 METHOD_LABELS = {
     "flip": "flip",
@@ -71,7 +72,7 @@ def contact_sheet(
         }
         axes = figure.subplots(len(rows), n_columns, squeeze=False, gridspec_kw=grid)
         for row, original in zip(axes, rows, strict=True):
-            _draw(row[0], *images.read(original), images.items[original].id)
+            _draw(row[0], *images.read(original, _SHOWN_PIXELS), images.items[original].id)
             for i, axis in enumerate(row[1:], start=original * per_original):
                 _draw(axis, augmented.images[i], augmented.masks[i], _methods_label(augmented.recipes[i]))
         with atomic_file(destination) as temporary:

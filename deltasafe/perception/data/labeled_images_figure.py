@@ -5,6 +5,7 @@ import numpy as np
 
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 
+_SHOWN_PIXELS = 2**18
 _OUTLINE_RGB = (0, 229, 255)
 
 
@@ -19,7 +20,7 @@ def labeled_images_figure(images: LabeledImageSet, n_images: int = 12, columns: 
     height = round(0.75 * width)
     sheet = np.full((-(-len(chosen) // columns) * height, min(columns, len(chosen)) * width, 3), 128, np.uint8)
     for place, index in enumerate(chosen):
-        rgb, mask = images.read(index)
+        rgb, mask = images.read(index, _SHOWN_PIXELS)
         scale = min(width / rgb.shape[1], height / rgb.shape[0])
         size = max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale))
         tile = np.ascontiguousarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))

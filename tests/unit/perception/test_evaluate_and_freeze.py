@@ -2,17 +2,29 @@
 
 import dataclasses
 import shutil
+import tracemalloc
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import read_json
+from deltasafe.perception import evaluate_and_freeze
 from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
+from deltasafe.perception.calibration.evaluation import evaluate as evaluate_predictions
+from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
 from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings
 from deltasafe.perception.data.labeled_images import LabeledImageSet
-from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble, freeze_ensemble
+from deltasafe.perception.evaluate_and_freeze import (
+    EvaluationSettings,
+    evaluate_ensemble,
+    freeze_ensemble,
+    predict_images,
+    read_labels,
+)
+from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.network import build_network
@@ -93,3 +105,41 @@ def test_an_image_in_both_sets_is_refused_before_anything_is_written(members, se
     with pytest.raises(DataError, match=r"x_2.png: has the same pixels as .*x_3.png of the cali"):
         evaluate(members, sets, tmp_path / "report", calibration_images=LabeledImageSet.load(mixed))
     assert not (tmp_path / "report").exists()
+
+
+def test_an_image_twice_in_a_set_is_refused_before_anything_is_written(members, sets, tmp_path):
+    for role in ("test", "calibration"):
+        folder = tmp_path / role
+        shutil.copytree(sets[role == "calibration"].items[0].image.parents[1], folder)
+        for part in ("images", "masks"):
+            shutil.copyfile(folder / part / "x_1.png", folder / part / "y.png")
+        copied = LabeledImageSet.load(folder)
+        given = (copied, sets[1]) if role == "test" else (sets[0], copied)
+        with pytest.raises(DataError, match=rf"y.png: has the same pixels as x_1.png of the same {role} set"):
+            evaluate(members, given, tmp_path / "report", calibration_images=given[1])
+    assert not (tmp_path / "report").exists()
+
+
+def test_large_images_are_scaled_down_with_bounded_memory_and_disk(members, tmp_path, monkeypatch):
+    """12 megapixels took 8.9 GB of memory and 93 MB of disk an image."""
+    monkeypatch.setattr(evaluate_and_freeze, "EVALUATION_PIXELS", 10_000)
+    for part in ("images", "masks"):
+        (tmp_path / "large" / part).mkdir(parents=True)
+    for n, size in enumerate([(1200, 900), (900, 1200)]):
+        mask = Image.new("L", size)
+        mask.paste(255, (size[0] // 4, size[1] // 4, size[0] // 2, size[1] // 2))
+        mask.save(tmp_path / "large" / "masks" / f"{n}.png")
+        Image.merge("RGB", [mask, mask, Image.new("L", size, n)]).save(tmp_path / "large" / "images" / f"{n}.jpg")
+    images = LabeledImageSet.load(tmp_path / "large")
+    ensemble = Ensemble([member.network() for member in members], INFERENCE)
+    tracemalloc.start()
+    predictions = predict_images(ensemble, images, tmp_path / "predictions")
+    labels = read_labels(images)
+    report = evaluate_predictions(LabeledPredictions(predictions.image_ids, labels, predictions), SETTINGS)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert [image.n_pixels for image in report.images] == [115 * 86] * 2
+    assert report.images[0].n_hand_pixels == pytest.approx(115 * 86 / 16, rel=0.06)
+    assert peak < 8 * 1200 * 900  # less than the float64 of one whole image
+    stored = sum(path.stat().st_size for path in (tmp_path / "predictions").iterdir())
+    assert stored < 2 * 2 * 4.1 * 10_000  # 2 images of 2 members, 4 bytes a pixel

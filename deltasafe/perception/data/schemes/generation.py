@@ -14,7 +14,7 @@ from deltasafe.perception.data.schemes.cutout import cutout
 from deltasafe.perception.data.schemes.flip_rotate90 import flip_rotate90
 from deltasafe.perception.data.schemes.flip_rotate_crop import flip_rotate_crop
 from deltasafe.perception.data.schemes.mixup import mixup
-from deltasafe.perception.data.schemes.originals import Originals, Variant
+from deltasafe.perception.data.schemes.originals import MAX_PIXELS, Originals, Variant
 from deltasafe.perception.data.schemes.settings import ComparedSettings, SchemeSettings, scheme_name
 
 VariantGenerator: TypeAlias = Callable[[int], list[AugmentedImage]]
@@ -51,7 +51,7 @@ def size_and_mask_dtype(settings: SchemeSettings) -> tuple[tuple[int, int], type
 def _our_variants(
     images: LabeledImageSet, backgrounds: Backgrounds, settings: AugmentationSettings, i: int
 ) -> list[AugmentedImage]:
-    hand, image_id = cut_out_hand(*images.read(i), settings), images.items[i].id
+    hand, image_id = cut_out_hand(*images.read(i, MAX_PIXELS), settings), images.items[i].id
     return [augment(image_id, hand, variant, backgrounds, settings) for variant in range(settings.n_variants)]
 
 

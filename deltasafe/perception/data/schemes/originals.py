@@ -10,6 +10,9 @@ import numpy as np
 from deltasafe.perception.data.labeled_images import LabeledImageSet
 from deltasafe.perception.data.labeled_pair import resize_labeled
 
+MAX_PIXELS = 2**21
+"""Of an original in memory; every preset makes smaller images."""
+
 Variant: TypeAlias = tuple[np.ndarray, np.ndarray, list[dict[str, object]]]
 """Image, mask, and the operations that were applied, as a compared scheme returns them."""
 
@@ -35,7 +38,7 @@ class Originals:
         Raises:
             DataError: an image is missing or defective.
         """
-        pairs = [crop_and_resize(*labeled.read(i), width, height) for i in range(len(labeled))]
+        pairs = [crop_and_resize(*labeled.read(i, MAX_PIXELS), width, height) for i in range(len(labeled))]
         images, masks = (np.stack(arrays) for arrays in zip(*pairs, strict=True))
         return cls(tuple(item.id for item in labeled.items), images, masks)
 

@@ -58,17 +58,16 @@ def test_pixels_of_the_hand_are_colored_by_what_covers_them(n_images, n_covered)
     assert left.get_title().endswith(f"farthest 48.0 px, margin {n_covered * 384 / 40:.1f} px")
 
 
-@pytest.mark.parametrize("hand", [True, False])
-def test_images_without_a_hand_and_hands_without_an_unsafe_pixel_can_be_drawn(hand, tmp_path):
+def test_hand_without_an_unsafe_pixel_can_be_drawn(tmp_path):
     label = np.zeros((8, 9), bool)
-    label[2:5] = hand
+    label[2:5] = True
     p_occupied = np.full((2, 8, 9), 1e-5, np.float32)
     images = LabeledPredictions(["a", "b"], [label] * 2, [p_occupied] * 2)
     report = evaluate(images, SETTINGS)
     worst = Overlay("a", np.zeros((8, 9, 3), np.uint8), label, p_occupied[0])
     figure = conformal_margin_figure(report, worst)
     figure.savefig(tmp_path / "picture.png", dpi=40)
-    assert ("infinite" in figure.axes[0].get_title()) == hand
+    assert "infinite" in figure.axes[0].get_title()
 
 
 def test_a_report_without_margins_is_refused():
