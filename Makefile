@@ -23,13 +23,16 @@ RENDERER := $(VENV)/.renderer-installed
 REQUIREMENTS := -e .[vision,sim,mcap,heic,signing] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
+# An option of a folder that was given to make itself: a variable of the environment with that name is another program's.
+own = $(if $(findstring command,$(origin $(1))),--$(2) '$($(1))')
+
 .PHONY: help demo test check docs ui wheel clean lock results record study planner-study safety-study tracking-study benchmarks faults scale operation-record week pictures sbom audit registry rollback prune examples surroundings hands scenes team services-test lint-deploy browser-test
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-demo: $(STAMP) ## set up, then run the whole pipeline on the embedded data
-	$(BIN)/python -m pipelines.commands.demo
+demo: $(STAMP) ## set up, then run the whole pipeline; HANDS=DIR TEST=DIR SCENES=DIR BACKGROUNDS=DIR replace embedded data
+	$(BIN)/python -m pipelines.commands.demo $(call own,HANDS,hands) $(call own,TEST,test) $(call own,SCENES,scenes) $(call own,BACKGROUNDS,backgrounds)
 
 # Long test files come first and keep their order: sorted by number of tests, one core would wait for the last file.
 test: $(STAMP) check ## set up, then run the checks and the tests

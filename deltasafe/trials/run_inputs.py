@@ -7,9 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from deltasafe.errors import DataError, DeltasafeError
-from deltasafe.perception.calibration.report import CalibrationSettings
 from deltasafe.perception.data.augmentation.background import Backgrounds
-from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
+from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint, check_distinct
 from deltasafe.trials.occupancy_fields import read_scene_image, read_true_mask
 from deltasafe.trials.selection import chosen_scenes
 
@@ -31,7 +30,6 @@ class RunInputs:
         backgrounds: pictures for the augmentation.
         scenes: logged scenes.
         n_scenes: number of scenes that are used; 0 means all.
-        evaluation: of the calibration report; its folds need as many images.
     """
 
     training: InputFolder | None = None
@@ -40,12 +38,11 @@ class RunInputs:
     backgrounds: InputFolder | None = None
     scenes: InputFolder | None = None
     n_scenes: int = 0
-    evaluation: CalibrationSettings | None = None
 
     def defects(self) -> list[str]:
         """Read every file of every folder; return one message per defective folder, empty if there is none.
 
-        Images that are in two sets, and fewer images than folds, count as defects.
+        Images that are in two sets, or twice in a test or calibration set, count as defects.
         """
         found: list[str] = []
 
@@ -61,13 +58,13 @@ class RunInputs:
             for role in ("training", "test", "calibration")
             if (given := getattr(self, role)) is not None
         }
+        for role in ("test", "calibration"):
+            if (images := sets.get(role)) is not None:
+                attempt(f"{role} images", functools.partial(check_distinct, images, role))
         for role, other in (("training", "test"), ("training", "calibration"), ("calibration", "test")):
             one, two = sets.get(role), sets.get(other)
             if one is not None and two is not None:
                 attempt(f"{other} images", functools.partial(check_disjoint, one, two, role))
-        fitted = sets.get("test") if self.calibration is None else sets.get("calibration")
-        if self.evaluation is not None and fitted is not None:
-            attempt("settings", functools.partial(self.evaluation.require_images, len(fitted)))
         if self.backgrounds is not None:
             attempt("backgrounds", functools.partial(Backgrounds.load, self.backgrounds.folder))
         if self.scenes is not None:

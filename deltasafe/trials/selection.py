@@ -11,13 +11,13 @@ from deltasafe.scene import LoggedScene, load_scenes
 
 
 def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> tuple[LoggedScene, ...]:
-    """Check the scenes below ``source`` and write the first ``n_scenes`` (0: all) to ``folder``.
+    """Check the scenes below ``source`` and write at most ``n_scenes`` (0: all) to ``folder``.
 
     Files are hard links if the file system allows it, else copies.
 
     Raises:
         DataError: a scene is defective, or there is none.
-        SettingsError: ``n_scenes`` is negative or more than there are.
+        SettingsError: ``n_scenes`` is negative.
     """
     chosen = chosen_scenes(source, n_scenes)
     _write(chosen, folder)
@@ -25,14 +25,14 @@ def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> 
 
 
 def chosen_scenes(source: pathlib.Path, n_scenes: int) -> tuple[LoggedScene, ...]:
-    """Check the scenes below ``source``, and return the first ``n_scenes`` (0: all).
+    """Check the scenes below ``source``, and return at most ``n_scenes`` (0: all).
 
     Raises:
         DataError, SettingsError: see `select_scenes`.
     """
     scenes = load_scenes(source)
-    if not 0 <= n_scenes <= len(scenes):
-        raise SettingsError(f"n_scenes must lie between 0 (all) and {len(scenes)}, got {n_scenes}")
+    if n_scenes < 0:
+        raise SettingsError(f"n_scenes must be positive, or 0 (all scenes), got {n_scenes}")
     return scenes[: n_scenes or None]
 
 

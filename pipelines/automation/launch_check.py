@@ -70,8 +70,6 @@ def defective_inputs(run_config: Mapping[str, Any], steps: Collection[str], stor
     )
     if inputs.scenes is not None:
         inputs = dataclasses.replace(inputs, n_scenes=config("logged_scenes").n_scenes)
-    if "calibration_report" in steps:
-        inputs = dataclasses.replace(inputs, evaluation=config("calibration_report").calibration.settings())
     defects = unconverted + inputs.defects()
     listed = "".join(f"\n{defect}" for defect in defects)
     return f"nothing was run, since inputs are defective:{listed}" if defects else ""

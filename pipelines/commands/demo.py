@@ -3,8 +3,11 @@
 import argparse
 import os
 import pathlib
+import shlex
 import sys
 import time
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from deltasafe.io.storage import read_json, write_json
@@ -12,18 +15,38 @@ from deltasafe.presets import VARIABLE
 from pipelines.command_line import run_command
 from pipelines.commands.pictures import record_pictures
 from pipelines.commands.provenance import commit, machine
-from pipelines.home import prepare_home
+from pipelines.home import home, prepare_home
+from pipelines.own_data import converted, home_of, steps_of
+
+_OWN_DATA = {
+    "hands": "labeled training images: images/ and masks/, or labels of another tool",
+    "test": "labeled test images",
+    "scenes": "folder of scene folders",
+    "backgrounds": "pictures without the obstacle",
+}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the job; return 0 if every step and every blocking check passed, else 1."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.commands.demo", description=__doc__)
     parser.add_argument("--record", type=pathlib.Path, help="also write the figures to this file (docs/results/...)")
+    for name, meaning in _OWN_DATA.items():
+        parser.add_argument(f"--{name}", default="", metavar="FOLDER", help=f"{meaning} (default: packaged)")
     options = parser.parse_args(arguments)
-    return run_command(lambda: _run(options.record))
+    given = {name: value for name in _OWN_DATA if (value := getattr(options, name))}
+    if given and options.record:
+        parser.error("--record is for the packaged data: recorded figures must not come from other folders")
+    return run_command(lambda: _run_own(given) if given else _run(options.record))
 
 
-def _run(recorded: pathlib.Path | None) -> int:
+def _run_own(given: Mapping[str, str]) -> int:
+    """Run the job on folders of the user, in a home of their own below `$DELTASAFE_HOME`."""
+    folders = converted(home(), given)
+    os.environ["DELTASAFE_HOME"] = str(home_of(home(), folders))
+    return _run(None, folders)
+
+
+def _run(recorded: pathlib.Path | None, given: Mapping[str, str] = MappingProxyType({})) -> int:
     root = prepare_home()
     preset = os.environ.get(VARIABLE) or "default"
     if recorded and (root / "store").exists():
@@ -35,10 +58,12 @@ def _run(recorded: pathlib.Path | None) -> int:
     from pipelines.commands.run_job import run_to_end  # imports dagster, which takes seconds
 
     began_s = time.monotonic()
-    if not run_to_end("everything", {}, "`make demo`"):
+    words = [f"{name.upper()}={shlex.quote(folder)}" for name, folder in given.items()]
+    command = " ".join([f"make {'record' if recorded else 'demo'}", *words])
+    if not run_to_end("everything", steps_of(given), f"`{command}`"):
         return 1
     figures = _figures(root) | {"minutes_total": round((time.monotonic() - began_s) / 60, 1)}
-    command = f"make {'record' if recorded else 'demo'}" + ("" if preset == "default" else f" PRESET={preset}")
+    command += "" if preset == "default" else f" PRESET={preset}"
     record = {
         "figures": figures,
         "command": command,
@@ -50,7 +75,7 @@ def _run(recorded: pathlib.Path | None) -> int:
     if recorded:
         write_json(recorded, record)
         record_pictures(_folder(root, "augmented_hands"), *_reports(root), recorded.with_suffix(""))
-    _print_summary(root, figures)
+    _print_summary(root, figures, bool(given))
     return 0
 
 
@@ -93,7 +118,7 @@ def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
     return latest_folder(root, asset)
 
 
-def _print_summary(root: pathlib.Path, figures: dict[str, Any]) -> None:
+def _print_summary(root: pathlib.Path, figures: dict[str, Any], is_own_data: bool) -> None:
     calibration, safety = _reports(root)
     films = sorted(safety.glob("*.gif"))
     unjudged = figures["scenes_executed"] - figures["scenes_judged"]
@@ -117,7 +142,8 @@ def _print_summary(root: pathlib.Path, figures: dict[str, Any]) -> None:
     if _folder(root, "champion") != _folder(root, "frozen_ensemble"):
         print(f"  it was refused; the motions use {_folder(root, 'champion')}: see `make registry`")
     print(f"  figures             {root / 'results.json'}")
-    print("  UI                  make ui, then http://127.0.0.1:3000")
+    where = f"DELTASAFE_HOME={shlex.quote(str(root))} " if is_own_data else ""
+    print(f"  UI                  {where}make ui, then http://127.0.0.1:3000")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,16 @@
 """Run a job from the command line, and find the folders of its assets."""
 
 import pathlib
+import sys
 from collections.abc import Mapping
 from typing import Any
 
 import dagster as dg
 
+from assets.interfaces import Store
+from pipelines.automation.launch_check import launch_error
 from pipelines.automation.lost_runs import fail_lost_runs
+from pipelines.home import DATASETS, home
 from pipelines.storage.io_manager import FolderPointers
 
 
@@ -20,6 +24,8 @@ def job_named(name: str) -> dg.JobDefinition:
 def run_to_end(name: str, steps: Mapping[str, Mapping[str, Any]], again: str) -> bool:
     """Run a job to its end with progress in the terminal; return whether it succeeded.
 
+    Settings or inputs with defects are listed, and nothing is run.
+
     Args:
         name: of the job. Its steps are separate processes.
         steps: configuration by step.
@@ -27,6 +33,10 @@ def run_to_end(name: str, steps: Mapping[str, Mapping[str, Any]], again: str) ->
     """
     job = dg.build_reconstructable_job(__name__, job_named.__name__, (name,))
     ops = {step: {"config": dict(config)} for step, config in steps.items()}
+    names = [node.name for node in job.get_definition().nodes]
+    if error := launch_error({"ops": ops}, names, Store(home(), DATASETS)):
+        print(f"\n{error}", file=sys.stderr)
+        return False
     with dg.DagsterInstance.get() as instance:
         fail_lost_runs(instance)  # a killed run would hold its pool slots forever
         run_config = {"loggers": {"console": {"config": {}}}, "ops": ops}

@@ -255,3 +255,19 @@ def test_pybullet_is_pinned_to_the_release_whose_wheels_are_known():
     assert f"PyBullet {pybullet.removeprefix('pybullet==')} has" in (ROOT / "create_venv.sh").read_text(
         encoding="utf-8"
     )
+
+
+def test_folders_of_the_demo_are_those_given_to_make_itself(machine):
+    machine.add_python("python3.11", "3.11.2")
+    assert machine.make("demo", "HANDS=/my hands", "SCENES=/scenes").returncode == 0
+    assert machine.calls()[-1].endswith("pipelines.commands.demo --hands /my hands --scenes /scenes")
+    run = subprocess.run(
+        ["make", "demo"],
+        cwd=machine.checkout,
+        env={"PATH": str(machine.path), "HOME": str(machine.checkout), "TEST": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0
+    assert machine.calls()[-1].endswith("pipelines.commands.demo")

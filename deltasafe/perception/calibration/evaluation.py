@@ -74,12 +74,10 @@ def evaluate(
         frozen: of an ensemble that was frozen before. It is evaluated with its own temperature; none is fitted.
 
     Raises:
-        SettingsError: more folds than images, predictions of another number of members, or values that are no masks or
-            probabilities.
+        SettingsError: predictions of another number of members, or values that are no masks or probabilities.
     """
-    settings = settings or CalibrationSettings()
     n_fitted = len(calibration or images)
-    settings.require_images(n_fitted)
+    settings = (settings or CalibrationSettings()).for_images(n_fitted)
     n_passes = 2 if frozen is None else 1
     done, total = itertools.count(1), n_passes * (len(images) + len(calibration or ()))
     run = _Evaluation(images, calibration, settings, lambda message: progress(next(done), total, message))

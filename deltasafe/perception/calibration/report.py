@@ -37,7 +37,8 @@ class CalibrationSettings:
     Attributes:
         n_bootstrap: bootstrap samples of the images.
         level: coverage of intervals (two-sided) and confidence of the supported delta (one-sided).
-        n_folds: folds over the images; each fold is evaluated by a fit on the others. 0: leave one image out.
+        n_folds: folds over the images; each fold is evaluated by a fit on the others. 0, or more folds than images:
+            leave one image out.
         seed: of the bootstrap.
         recalibrate: freeze and use the ensemble with the fitted temperature; otherwise with T = 1.
         missed_hand_alpha: target of conformal risk control: bound on the expected fraction of a hand with p_occupied up
@@ -61,17 +62,9 @@ class CalibrationSettings:
         if self.n_folds < 0 or self.n_folds == 1:
             raise SettingsError(f"n_folds must be 0 (leave one out) or at least 2, got {self.n_folds}")
 
-    def require_images(self, n_images: int) -> None:
-        """Check that there is an image for each fold; a single image is not fitted on.
-
-        Raises:
-            SettingsError: there are fewer images than folds.
-        """
-        if 1 < n_images < self.n_folds:
-            raise SettingsError(
-                f"n_folds is {self.n_folds}, but there are {n_images} images; "
-                f"set calibration.n_folds to {n_images}, or to 0 (leave one out)"
-            )
+    def for_images(self, n_images: int) -> "CalibrationSettings":
+        """Leave one image out if there are fewer images than folds."""
+        return dataclasses.replace(self, n_folds=0) if n_images < self.n_folds else self
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from deltasafe.perception.calibration.report import CalibrationSettings
 from deltasafe.trials.run_inputs import InputFolder, RunInputs
 from tests.ensembles import write_hands
 
@@ -30,7 +29,7 @@ def inputs(folders, **options):
 
 
 def test_intact_inputs_have_no_defects(folders):
-    assert inputs(folders, evaluation=CalibrationSettings(n_folds=4)).defects() == []
+    assert inputs(folders).defects() == []
     assert RunInputs().defects() == []
 
 
@@ -54,18 +53,15 @@ def test_all_defects_of_all_folders_are_listed_together(folders):
     assert "no counterpart in masks/" in defects[1]
 
 
-def test_images_in_two_sets_and_too_few_images_for_the_folds_are_defects(folders):
+def test_images_in_two_sets_and_copies_within_one_are_defects(folders):
     shutil.copytree(folders / "training", folders / "calibration")
-    found = inputs(
-        folders,
-        calibration=InputFolder(folders / "calibration"),
-        evaluation=CalibrationSettings(n_folds=5),
-    ).defects()
-    assert len(found) == 2
-    assert found[0].startswith("calibration images: ")
-    assert "has 4 defects" in found[0]
-    assert "of the training set" in found[0]
-    assert "n_folds is 5, but there are 4 images; set calibration.n_folds to 4" in found[1]
+    for part in ("images", "masks"):
+        shutil.copy(folders / "test" / part / "0.png", folders / "test" / part / "again.png")
+    one, two = inputs(folders, calibration=InputFolder(folders / "calibration")).defects()
+    assert "again.png: has the same pixels as 0.png of the same test set" in one
+    assert two.startswith("calibration images: ")
+    assert "has 4 defects" in two
+    assert "of the training set" in two
 
 
 def test_the_image_of_a_scene_is_compared_with_its_camera(folders):
@@ -73,5 +69,5 @@ def test_the_image_of_a_scene_is_compared_with_its_camera(folders):
     cv2.imwrite(str(image), cv2.resize(cv2.imread(str(image)), (320, 240)))
     (defect,) = inputs(folders).defects()
     assert "is 320 x 240 pixels, its camera has" in defect
-    (defect,) = RunInputs(scenes=InputFolder(SCENES), n_scenes=99).defects()
-    assert "n_scenes must lie between 0 (all) and 20, got 99" in defect
+    (defect,) = RunInputs(scenes=InputFolder(SCENES), n_scenes=-1).defects()
+    assert "n_scenes must be positive" in defect

@@ -302,6 +302,8 @@ def test_invalid_input_is_refused_by_the_name_of_the_image(names, labels, predic
         evaluate(LabeledPredictions(names, labels, predictions), FAST)
 
 
-def test_more_folds_than_images_are_refused():
-    with pytest.raises(SettingsError, match="n_folds"):
-        evaluate(LabeledPredictions(NAMES[:3], LABELS[:3], PREDICTIONS[:3]), CalibrationSettings(n_folds=4))
+def test_fewer_images_than_folds_are_left_out_one_by_one():
+    few = LabeledPredictions(NAMES[:3], LABELS[:3], PREDICTIONS[:3])
+    report = evaluate(few, dataclasses.replace(FAST, n_folds=4))
+    assert report == evaluate(few, dataclasses.replace(FAST, n_folds=0))
+    assert report.settings.n_folds == 0
