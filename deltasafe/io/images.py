@@ -42,32 +42,38 @@ _TURNS = {
 
 
 @dataclasses.dataclass(frozen=True)
-class DecodedImage:
-    """An image file, decoded.
+class ImageHeader:
+    """Size and orientation of an image file.
 
     Attributes:
-        image: upright, in the mode of the file.
-        size: width and height of the whole image, upright; those of ``image`` unless it was reduced.
+        size: width and height of the whole image, upright.
         orientation: of the stored pixels, 1 to 8 as in EXIF; 1 is upright, also for undefined values (0, 9, ...).
     """
 
-    image: Image.Image
     size: tuple[int, int]
     orientation: int
 
 
 @dataclasses.dataclass(frozen=True)
-class RgbImage:
+class DecodedImage(ImageHeader):
+    """An image file, decoded.
+
+    Attributes:
+        image: upright, in the mode of the file; reduced, if that was asked for.
+    """
+
+    image: Image.Image
+
+
+@dataclasses.dataclass(frozen=True)
+class RgbImage(ImageHeader):
     """A photograph.
 
     Attributes:
-        rgb: ``(H, W, 3)`` uint8, upright.
-        size, orientation: see `DecodedImage`.
+        rgb: ``(H, W, 3)`` uint8, upright; reduced, if that was asked for.
     """
 
     rgb: NDArray[np.uint8]
-    size: tuple[int, int]
-    orientation: int
 
 
 def read_rgb(path: str | pathlib.Path, max_pixels: int | None = None) -> NDArray[np.uint8]:
@@ -90,7 +96,17 @@ def read_image(path: str | pathlib.Path, max_pixels: int | None = None) -> RgbIm
     rgb, size = _as_rgb(path, decoded.image), fitting_size(decoded.size, max_pixels)
     if rgb.size != size:
         rgb = rgb.resize(size, Image.Resampling.BOX)
-    return RgbImage(np.array(rgb), decoded.size, decoded.orientation)
+    return RgbImage(decoded.size, decoded.orientation, np.array(rgb))
+
+
+def read_header(path: str | pathlib.Path) -> ImageHeader:
+    """Read size and orientation of an image file.
+
+    Raises:
+        DataError: see `decode_image`.
+    """
+    decoded = decode_image(path, max_pixels=1)
+    return ImageHeader(decoded.size, decoded.orientation)
 
 
 def fitting_size(size: tuple[int, int], max_pixels: int | None) -> tuple[int, int]:
@@ -133,11 +149,11 @@ def _decoded(path: pathlib.Path, file: BinaryIO, max_pixels: int | None) -> Deco
                 image.draft(None, fitting_size(size, max_pixels))
             image.load()
             if orientation not in _TURNS:
-                return DecodedImage(image, size, 1)
+                return DecodedImage(size, 1, image)
             if image.format == "TIFF":  # Pillow turns it by itself
-                return DecodedImage(image, size, orientation)
+                return DecodedImage(size, orientation, image)
             size = size[::-1] if orientation >= 5 else size
-            return DecodedImage(image.transpose(_TURNS[orientation]), size, orientation)
+            return DecodedImage(size, orientation, image.transpose(_TURNS[orientation]))
     except DataError:
         raise
     except Image.DecompressionBombError as error:

@@ -5,7 +5,9 @@ predictions are not stored.
 """
 
 import dataclasses
+import functools
 import pathlib
+import unicodedata
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar, overload
 
@@ -14,14 +16,18 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DataError
+from deltasafe.io.folder_entries import is_clutter
+from deltasafe.io.images import fitting_size, read_header
 from deltasafe.io.storage import write_json
 from deltasafe.perception.artifact.frozen_ensemble import FrozenEnsemble
 from deltasafe.perception.calibration.evaluation import evaluate
 from deltasafe.perception.calibration.labeled_predictions import LabeledPredictions
 from deltasafe.perception.calibration.report import CalibrationReport, CalibrationSettings, FrozenFit
 from deltasafe.perception.calibration.write_report import write_calibration_report
-from deltasafe.perception.data.labeled_images import LabeledImageSet, read_or_none
+from deltasafe.perception.data.labeled_images import LabeledImageSet, check_distinct, read_or_none
+from deltasafe.perception.data.labeled_pair import aligned_mask, scaled_mask
 from deltasafe.perception.data.masks import read_mask_plane
+from deltasafe.perception.settings import EVALUATION_PIXELS
 
 T = TypeVar("T")
 
@@ -45,8 +51,9 @@ def evaluate_folder(
 
     Args:
         ensemble: evaluated as it is used, with its temperature.
-        folder: a set for `LabeledImageSet.load`. Pixels that are 255 in ``ignore/NAME.png`` do not count; an image
-            without such a file counts whole.
+        folder: a set for `LabeledImageSet.load`, each image once. Pixels that are 255 in ``ignore/NAME.png`` do not
+            count; an image without such a file counts whole. Images of more than ``EVALUATION_PIXELS`` pixels are
+            scaled down.
         destination: replaced if it is an earlier report.
         planning_delta: of the hand that is missed at delta, and of its plots.
         progress: called after each image.
@@ -59,6 +66,7 @@ def evaluate_folder(
     if destination.exists() and not (destination / METRICS_FILE).is_file():
         raise DataError(destination, "exists and is no earlier evaluation; give another folder")
     images = LabeledImageSet.load(folder)
+    check_distinct(images, "test")
     info = images.info
     if info.is_default:  # a set without dataset.json shows what the ensemble was trained on
         info = dataclasses.replace(ensemble.info, images="")
@@ -68,13 +76,13 @@ def evaluate_folder(
     settings = CalibrationSettings(n_folds=n_folds, planning_delta=planning_delta)
 
     def load_image(image_id: str) -> NDArray[np.uint8]:
-        return images.read(ids.index(image_id))[0]
+        return images.read(ids.index(image_id), EVALUATION_PIXELS)[0]
 
     ids = [item.id for item in images.items]
     evaluated = LabeledPredictions(
         ids,
-        _OnDemand(len(ids), lambda index: images.read(index)[1]),
-        _OnDemand(len(ids), lambda index: ensemble.member_p_occupied(images.read(index)[0])),
+        _OnDemand(len(ids), lambda index: images.read(index, EVALUATION_PIXELS)[1]),
+        _OnDemand(len(ids), lambda index: ensemble.member_p_occupied(load_image(ids[index]))),
         ignored,
     )
     calibration = ensemble.calibration
@@ -110,30 +118,34 @@ def _ignored_masks(images: LabeledImageSet, folder: pathlib.Path) -> "_OnDemand[
     """Read the masks of ignored pixels once to check them; return them to be read again on demand."""
     if not folder.is_dir():
         return None
-    files = {path.stem: path for path in sorted(folder.iterdir()) if not path.name.startswith(".")}
+    paths = sorted(path for path in folder.iterdir() if not is_clutter(path.name))
+    files = {unicodedata.normalize("NFC", path.stem): path for path in paths}
     defects = [
         DataError(files[stem], "has no counterpart in images/; give both files the same stem, or remove it")
         for stem in sorted(files.keys() - {item.id for item in images.items})
     ]
     for index, item in enumerate(images.items):
-        if item.id in files and (mask := read_or_none(_read_ignored, files[item.id], defects)) is not None:
-            shape = images.read(index)[1].shape
-            if mask.shape != shape:
-                defects.append(DataError(files[item.id], f"is {mask.shape}, its image {shape}; export it at that size"))
-            elif mask.all():
+        if item.id in files:
+            mask = read_or_none(functools.partial(_read_ignored, images, index), files[item.id], defects)
+            if mask is not None and mask.all():
                 defects.append(DataError(files[item.id], "ignores the whole image; remove the image from the set"))
     if defects:
         raise DataError.combined(folder, defects)
 
     def read(index: int) -> NDArray[np.bool_] | None:
         file = files.get(images.items[index].id)
-        return None if file is None else _read_ignored(file)
+        return None if file is None else _read_ignored(images, index, file)
 
     return _OnDemand(len(images), read)
 
 
-def _read_ignored(path: pathlib.Path) -> NDArray[np.bool_]:
-    return read_mask_plane(path).above(0.5)
+def _read_ignored(images: LabeledImageSet, index: int, path: pathlib.Path) -> NDArray[np.bool_]:
+    """Read the mask of ignored pixels, upright and scaled down as its image."""
+    image = images.items[index].image
+    header, mask = read_header(image), read_mask_plane(path).above(0.5).astype(np.uint8)
+    mask = aligned_mask(header, mask, images.options, (image, path))
+    size = fitting_size(header.size, EVALUATION_PIXELS)
+    return (mask if size == header.size else scaled_mask(mask, size)) > 0
 
 
 @dataclasses.dataclass(frozen=True)

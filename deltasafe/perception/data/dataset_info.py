@@ -1,4 +1,4 @@
-"""`dataset.json` of a set of labeled images: what its masks mark, how its images were made, and the gate of ensembles.
+"""`dataset.json` of a set of labeled images: what its masks mark and how they are read, and the gate of ensembles.
 
 Without the file, the masks mark hands. Folders that are made from a set (augmented images, report, ensemble, occupancy
 fields) carry its information on, so that reports and figures name the obstacle.
@@ -18,6 +18,36 @@ from deltasafe.setting_ranges import check_choice, check_range
 _FILE = "dataset.json"
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]{0,49}")
 _ORIGINS = ("", "rendered", "photographs")
+
+
+@dataclasses.dataclass(frozen=True)
+class SetOptions:
+    """How the masks of a set are read: further keys of ``dataset.json``.
+
+    Attributes:
+        masks_drawn_on: for photographs with an EXIF orientation: ``upright`` if the masks fit the picture as viewers
+            show it, ``stored`` if they fit the stored pixels. Empty: the size of the mask decides, where it can.
+        large_masks: masks that cover most of their image are right, and not inverted.
+    """
+
+    masks_drawn_on: str = ""
+    large_masks: bool = False
+
+    @classmethod
+    def load(cls, folder: str | pathlib.Path) -> "SetOptions":
+        """Read ``dataset.json`` in ``folder``; the file may be missing.
+
+        Raises:
+            DataError: the file is malformed, or a value is invalid.
+        """
+        path = pathlib.Path(folder) / _FILE
+        record = read_json(path) if path.is_file() else {}
+        known = {"masks_drawn_on": ("", "upright", "stored"), "large_masks": (False, True)}
+        found = {key: record[key] for key in known if key in record} if isinstance(record, dict) else {}
+        for key, value in found.items():
+            if value not in known[key]:
+                raise DataError(path, f"must hold one of {known[key]} for {key}, got {value!r:.60}")
+        return cls(**found)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +127,10 @@ class DatasetInfo:
             DataError: the file is malformed, or a value is invalid.
         """
         path = pathlib.Path(folder) / _FILE
-        return cls.from_record(read_json(path), path) if path.is_file() else HANDS
+        record = read_json(path) if path.is_file() else {}
+        if isinstance(record, dict):
+            record = {key: value for key, value in record.items() if key not in _OPTIONS}
+        return cls.from_record(record, path)
 
     @classmethod
     def from_record(cls, record: Any, path: pathlib.Path) -> "DatasetInfo":
@@ -112,10 +145,13 @@ class DatasetInfo:
             raise DataError(path, f"is invalid ({error}); see docs/reference/formats.md, or remove it") from error
         return found
 
-    def save(self, folder: pathlib.Path) -> None:
+    def save(self, folder: pathlib.Path, options: SetOptions | None = None) -> None:
         """Write ``dataset.json`` to ``folder``, unless it would say the default."""
-        if not self.is_default:
-            write_json(folder / _FILE, self)
+        record = {} if self.is_default else dataclasses.asdict(self)
+        if options is not None:
+            record |= dataclasses.asdict(options)
+        if record:
+            write_json(folder / _FILE, record)
 
     def require_same_obstacle(self, other: "DatasetInfo", path: pathlib.Path, role: str) -> None:
         """Check that the set at ``path`` shows the same obstacle as ``other``, the set with the ``role``.
@@ -131,6 +167,7 @@ class DatasetInfo:
             )
 
 
+_OPTIONS = [field.name for field in dataclasses.fields(SetOptions)]
 HANDS = DatasetInfo()
 """The information of a set without ``dataset.json``."""
 

@@ -14,8 +14,8 @@ from deltasafe.io.checksum_list import listed_name, read_registry
 from deltasafe.io.folder_entries import IMAGE_SUFFIXES, FolderEntries, require_utf8_name
 from deltasafe.io.images import read_image
 from deltasafe.io.storage import digest_of, sha256_of_file
-from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
-from deltasafe.perception.data.labeled_pair import OPTIONS_FILE, SetOptions, aligned_mask, scaled_mask
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo, SetOptions
+from deltasafe.perception.data.labeled_pair import aligned_mask, scaled_mask
 from deltasafe.perception.data.masks import dither_defect, polarity_defect, read_marked
 
 T = TypeVar("T")
@@ -52,8 +52,8 @@ class LabeledImageSet:
         pixel_digests: SHA-256 of the decoded pixels of each image, in the order of ``items``.
         digest: SHA-256 over ids, pixels and masks, and the obstacle if it is no hand; it does not depend on the
             folder's path.
-        options: of the set, from its file ``set.json``.
-        info: what the masks mark, from its file ``dataset.json``.
+        options: how the masks are read, from the file ``dataset.json``.
+        info: what the masks mark, from the same file.
     """
 
     name: str
@@ -80,7 +80,8 @@ class LabeledImageSet:
         folder, defects = pathlib.Path(folder), list[DataError]()
         if not folder.is_dir():
             raise DataError(folder, "is not a folder; give one that holds images/ and masks/")
-        info = read_or_none(DatasetInfo.load, folder, defects) or HANDS
+        described = read_or_none(lambda path: (DatasetInfo.load(path), SetOptions.load(path)), folder, defects)
+        info, options = described or (HANDS, SetOptions())
         images, masks = (_files_by_stem(folder / part, defects) for part in ("images", "masks"))
         for stem in sorted(images.keys() ^ masks.keys()) if images and masks else ():
             path, other = (images[stem], "masks") if stem in images else (masks[stem], "images")
@@ -90,7 +91,6 @@ class LabeledImageSet:
         items = tuple(LabeledImage(stem, images[stem], masks[stem]) for stem in sorted(images.keys() & masks.keys()))
         if not items and not defects:
             defects.append(DataError(folder, "holds no images; put them into images/ and their masks into masks/"))
-        options = SetOptions.load(folder)
         if registry is not None:
             files = [path for item in items for path in (item.image, item.mask)]
             defects += _unregistered([*files, *folder.glob("dataset.json")], pathlib.Path(registry))
@@ -244,7 +244,7 @@ def _read_or_note(
         defects.append(DataError(item.mask, defect))
         return None
     if not options.large_masks and (doubt := polarity_defect(mask)):
-        confirm = f'write {{"large_masks": true}} into {item.mask.parents[1] / OPTIONS_FILE} if it is right'
+        confirm = f'write {{"large_masks": true}} into {item.mask.parents[1] / "dataset.json"} if it is right'
         invert = "convert the set by `deltasafe hands import SET NEW_SET --inverted` if it is"
         defects.append(DataError(item.mask, f"{doubt} {confirm}, or {invert}"))
         return None

@@ -1,6 +1,5 @@
 """One labeled image: photograph and mask, both upright and of one size."""
 
-import dataclasses
 import pathlib
 
 import cv2
@@ -8,49 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
-from deltasafe.io.images import RgbImage
-from deltasafe.io.storage import read_json
-
-OPTIONS_FILE = "set.json"
-DRAWN_ON = ("upright", "stored")
-
-
-@dataclasses.dataclass(frozen=True)
-class SetOptions:
-    """Options of a set of labeled images, from ``set.json`` beside ``images/`` and ``masks/``. The file may be missing.
-
-    Attributes:
-        masks_drawn_on: for photographs with an EXIF orientation: ``upright`` if the masks fit the picture as viewers
-            show it, ``stored`` if they fit the stored pixels. Empty: the size of the mask decides, where it can.
-        large_masks: masks that cover most of their image are right, and not inverted.
-    """
-
-    masks_drawn_on: str = ""
-    large_masks: bool = False
-
-    @classmethod
-    def load(cls, folder: pathlib.Path) -> "SetOptions":
-        """Read the options of the set in ``folder``.
-
-        Raises:
-            DataError: the file holds other keys or values.
-        """
-        path = folder / OPTIONS_FILE
-        if not path.exists():
-            return cls()
-        found, known = read_json(path), {"masks_drawn_on": ("", *DRAWN_ON), "large_masks": (False, True)}
-        if not isinstance(found, dict) or any(value not in known.get(key, ()) for key, value in found.items()):
-            raise DataError(path, f"must hold only the keys and values of {known}, got {found!r:.80}")
-        return cls(**found)
+from deltasafe.io.images import ImageHeader
+from deltasafe.perception.data.dataset_info import SetOptions
 
 
 def aligned_mask(
-    image: RgbImage, mask: NDArray[np.uint8], options: SetOptions, paths: tuple[pathlib.Path, pathlib.Path]
+    image: ImageHeader, mask: NDArray[np.uint8], options: SetOptions, paths: tuple[pathlib.Path, pathlib.Path]
 ) -> NDArray[np.uint8]:
     """Turn a mask (H, W) upright as its image, if it was drawn on the stored pixels.
 
     Args:
-        image: as read; upright.
+        image: size and orientation.
         mask: as stored, of the size of the whole image.
         options: of the set.
         paths: of image and mask, for messages.
@@ -68,11 +35,12 @@ def aligned_mask(
         return mask
     drawn_on = options.masks_drawn_on if size == stored else ("stored", "upright")[found == size]
     if not drawn_on:
+        file = paths[0].parents[1] / "dataset.json"
         raise DataError(
             paths[0],
             f"has the EXIF orientation {image.orientation}, and its mask has the same size either way; write "
-            f'{{"masks_drawn_on": "upright"}} into the file {paths[0].parents[1] / OPTIONS_FILE} if the masks fit the '
-            'picture as viewers show it, or "stored" if they fit the pixels as they are stored',
+            f'{{"masks_drawn_on": "upright"}} into the file {file} if the masks fit the picture as viewers show it, or '
+            '"stored" if they fit the pixels as they are stored',
         )
     return _turned_upright(mask, image.orientation) if drawn_on == "stored" else mask
 

@@ -157,7 +157,9 @@ def _set_corruptions(image: str, mask: str) -> dict[str, Corruption]:
         "masks without any hand": edited("masks", without_hands),
         "two images with one name in two Unicode forms": edited("Unicode", two_unicode_forms),
         "a name that is not UTF-8": edited("UTF-8", lambda given: (given / "images" / "h\udce4nd.png").touch()),
-        "options with another key": edited("set.json", lambda given: (given / "set.json").write_text('{"masks": 1}')),
+        "options with another key": edited(
+            "dataset.json", lambda given: (given / "dataset.json").write_text('{"masks_drawn_on": "both"}')
+        ),
         "a text file among the images": with_text("images/notes.txt"),
         "a text file among the masks": with_text("masks/notes.md"),
         "a program among the images": with_text("images/image.py"),

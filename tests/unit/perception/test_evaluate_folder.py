@@ -115,7 +115,7 @@ def test_all_defects_of_the_ignored_masks_are_listed(folder, tmp_path):
     for part in (
         "9.png: has no counterpart",
         "0.png: ignores the whole image",
-        "1.png: is (24, 32), its image (48, 64)",
+        "1.png: is 32 x 24 but its image is 64 x 48",
     ):
         assert part in str(caught.value)
     assert not (tmp_path / "out").exists()
@@ -134,3 +134,17 @@ def test_another_obstacle_and_another_folder_are_refused(folder, tmp_path):
         evaluate_folder(cups, folder, tmp_path)
     (folder / "dataset.json").unlink()
     evaluate_folder(cups, folder, tmp_path / "cups")
+
+
+def test_a_copy_in_the_folder_is_refused(folder, tmp_path):
+    for part in ("images", "masks"):
+        (folder / part / "copy.png").write_bytes((folder / part / "1.png").read_bytes())
+    with pytest.raises(DataError, match=r"copy.png: has the same pixels as 1.png of the same test set"):
+        evaluate_folder(FakeEnsemble(), folder, tmp_path / "report")
+
+
+def test_large_images_are_scaled_down_with_mask_and_ignored_pixels(folder, tmp_path, monkeypatch, without_plots):
+    monkeypatch.setattr("deltasafe.perception.evaluate_folder.EVALUATION_PIXELS", 24 * 32)
+    report = evaluate_folder(FakeEnsemble(), folder, tmp_path / "report")
+    assert [image.n_pixels for image in report.images] == [24 * 32, 24 * 32 - 18, *[24 * 32] * 3]
+    assert [image.n_hand_pixels for image in report.images] == [2 * 5, 3 * 5 - 3, 3 * 5, 4 * 5, 4 * 5]

@@ -14,13 +14,12 @@ import numpy as np
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_folder, digest_of, write_json
-from deltasafe.perception.data.dataset_info import DatasetInfo
+from deltasafe.perception.data.dataset_info import DatasetInfo, SetOptions
 from deltasafe.perception.data.importing.formats import read_source
 from deltasafe.perception.data.importing.mask_sheets import write_mask_sheets
 from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.importing.source import LabelSource, SourceImage
 from deltasafe.perception.data.labeled_images import LabeledImage, LabeledImageSet, read_labeled
-from deltasafe.perception.data.labeled_pair import OPTIONS_FILE, SetOptions
 from deltasafe.perception.data.masks import ANY_CLASS, polarity_defect
 from deltasafe.reporting.markdown import table
 
@@ -118,8 +117,7 @@ def import_hands(
         report = ImportReport(folder, labels.format, tuple(classes), info.obstacle, images)
         if not any(image.marked for image in images):
             raise DataError(source, f"marks no obstacle that can be converted: {_reasons(images)}; label images")
-        write_json(temporary / OPTIONS_FILE, options)
-        info.save(temporary)
+        info.save(temporary, options)
         write_mask_sheets(LabeledImageSet.load(temporary), temporary / report.SHEET)
         (temporary / report.TABLE).write_text(report.text(), encoding="utf-8")
         record = {"format": labels.format, "settings": settings, "classes": classes, "images": images}

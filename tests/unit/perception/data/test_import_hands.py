@@ -219,8 +219,8 @@ def test_the_loader_refuses_inverted_masks_until_confirmed(tmp_path, hand):
     (folder / "labels").rename(folder / "masks")
     with pytest.raises(DataError, match=r"a\.png: marks 80% .* \{\"large_masks\": true\}") as raised:
         LabeledImageSet.load(folder)
-    assert str(folder / "set.json") in str(raised.value)
-    (folder / "set.json").write_text('{"large_masks": true}')
+    assert str(folder / "dataset.json") in str(raised.value)
+    (folder / "dataset.json").write_text('{"large_masks": true}')
     assert len(LabeledImageSet.load(folder)) == 2
 
 

@@ -50,10 +50,10 @@ def photograph(folder: pathlib.Path, orientation: int, drawn_on: str, size: tupl
 def test_pair_is_upright_if_size_or_option_tells(tmp_path, orientation: int, drawn_on: str, size, told: bool) -> None:
     rgb, mask = photograph(tmp_path, orientation, drawn_on, size)
     if told:
-        (tmp_path / "set.json").write_text(json.dumps({"masks_drawn_on": drawn_on}))
+        (tmp_path / "dataset.json").write_text(json.dumps({"masks_drawn_on": drawn_on}))
     size_tells = orientation == 1 or (orientation >= 5 and size[0] != size[1])
     if not (told or size_tells):
-        with pytest.raises(DataError, match=f"EXIF orientation {orientation}.*set.json") as caught:
+        with pytest.raises(DataError, match=f"EXIF orientation {orientation}.*dataset.json") as caught:
             LabeledImageSet.load(tmp_path)
         assert caught.value.path == tmp_path / "images" / "a.png"
         return
@@ -90,9 +90,17 @@ def test_set_digest_does_not_depend_on_how_a_photograph_is_stored(tmp_path: path
 )
 def test_options_with_other_content_are_refused(tmp_path: pathlib.Path, content: str) -> None:
     photograph(tmp_path, 1, "upright", (30, 20))
-    (tmp_path / "set.json").write_text(content)
-    with pytest.raises(DataError, match=r"set\.json: must hold"):
+    (tmp_path / "dataset.json").write_text(content)
+    with pytest.raises(DataError, match=r"dataset\.json: (must hold|is invalid)"):
         LabeledImageSet.load(tmp_path)
+
+
+def test_options_stand_beside_the_obstacle(tmp_path: pathlib.Path) -> None:
+    _, mask = photograph(tmp_path, 3, "stored", (30, 20))
+    (tmp_path / "dataset.json").write_text('{"obstacle": "coffee_cup", "masks_drawn_on": "stored"}')
+    cups = LabeledImageSet.load(tmp_path)
+    assert (cups.info.obstacle, cups.options.masks_drawn_on) == ("coffee_cup", "stored")
+    np.testing.assert_array_equal(cups.read(0)[1], mask)
 
 
 def test_reduced_pair_keeps_image_and_mask_together(tmp_path: pathlib.Path) -> None:
