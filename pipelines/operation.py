@@ -8,7 +8,7 @@ from typing import Any
 
 import dagster as dg
 
-from deltasafe.errors import DeltasafeError
+from deltasafe.errors import DeltasafeError, SettingsError
 from pipelines.home import home, run_page
 from pipelines.retention import Retention, RetentionSettings
 from pipelines.tracking.reconciliation import reconcile
@@ -78,16 +78,16 @@ def nightly(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:
 
 
 class PromoteConfig(dg.Config):
-    """`version` is a number in the list of versions in MLflow; `because` is stored with it."""
+    """`version` is a number in the list of versions in MLflow; `because`, a reason, is stored with it."""
 
-    version: int
-    because: str
+    version: int = 0
+    because: str = ""
 
 
 class RollbackConfig(dg.Config):
-    """`because` is stored with both versions."""
+    """`because`, a reason, is stored with both versions."""
 
-    because: str
+    because: str = ""
 
 
 @dg.op(pool="registry")
@@ -96,7 +96,7 @@ def use_version(
 ) -> None:
     """Use a registered version, and report it to Dagster."""
     try:
-        registry.promote(str(config.version), config.because)
+        registry.promote(str(config.version), _reason(config.because))
     except DeltasafeError as error:
         raise dg.Failure(str(error), allow_retries=False) from error
     _follow(context, registry)
@@ -108,10 +108,21 @@ def use_previous_version(
 ) -> None:
     """Use the previous version again, take the present one out of use, and report it to Dagster."""
     try:
-        registry.rollback(config.because)
+        registry.rollback(_reason(config.because))
     except DeltasafeError as error:
         raise dg.Failure(str(error), allow_retries=False) from error
     _follow(context, registry)
+
+
+def _reason(because: str) -> str:
+    """Return the reason. It has a default only so that the launchpad shows the field.
+
+    Raises:
+        SettingsError: it is empty.
+    """
+    if not because.strip():
+        raise SettingsError("because is empty: give a reason")
+    return because
 
 
 def _follow(context: dg.OpExecutionContext, registry: EnsembleRegistry) -> None:

@@ -142,9 +142,9 @@ def test_promotion_and_rollback_are_jobs_of_the_ui(home, instance, frozen):
     assert pointed(home) == frozen[0]
     assert run(operation.rollback, because="no longer").success
     assert (pointed(home), aliases(home)[CHAMPION]) == (frozen[2], frozen[2].name)
-    failed = run(operation.promote, version=99, because="why not")
-    (failure,) = failed.get_step_failure_events()
-    assert "has no version 99" in failure.step_failure_data.error.message
+    for config, message in (({"version": 99, "because": "why not"}, "has no version 99"), ({"version": 1}, "reason")):
+        (failure,) = run(operation.promote, **config).get_step_failure_events()
+        assert message in failure.step_failure_data.error.message
 
 
 def test_making_the_ensemble_in_use_again_keeps_its_reason(home, instance, frozen):
