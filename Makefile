@@ -20,7 +20,7 @@ SERVICES := $(VENV)/.services-installed
 CLUSTER := $(VENV)/.cluster-installed
 SITE := $(VENV)/.docs-installed
 RENDERER := $(VENV)/.renderer-installed
-REQUIREMENTS := -e .[vision,sim,mcap,heic,signing] --group orchestration --group dev
+REQUIREMENTS := -e .[vision,sim,mcap,ros,heic,signing] --group orchestration --group dev
 export DELTASAFE_PRESET := $(PRESET)
 
 # An option of a folder that was given to make itself: a variable of the environment with that name is another program's.
@@ -156,7 +156,7 @@ audit: $(STAMP) $(AUDITOR) ## write the SBOM and check it for known vulnerabilit
 
 lock: ## renew constraints.txt with uv: the newest versions that install together
 	uv pip compile --universal --no-emit-index-url --no-header --no-annotate --python-version 3.11 \
-	  --extra vision --extra sim --extra mcap --extra heic --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster --group docs pyproject.toml -o constraints.txt
+	  --extra vision --extra sim --extra mcap --extra ros --extra heic --extra signing --extra ray --group orchestration --group dev --group generator --group browser --group services --group kubernetes --group audit --group cluster --group docs pyproject.toml -o constraints.txt
 
 clean: ## delete the environment
 	rm -rf $(VENV)

@@ -7,6 +7,7 @@ import sys
 from deltasafe.camera_commands import add_camera_commands
 from deltasafe.errors import DataError, DeltasafeError
 from deltasafe.hands_commands import add_hands_commands
+from deltasafe.import_command import add_import_command
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -73,11 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("log", type=path, help="file to write (.mcap)")
     export.add_argument("--scene", type=path, help="folder of the scene of an execution")
 
-    importing = commands.add_parser("import", help="convert an MCAP log of a scene to a scene folder")
-    importing.set_defaults(run=_import)
-    importing.add_argument("log", type=path, help="file to read (.mcap)")
-    importing.add_argument("folder", type=path, help="folder to write")
-
+    add_import_command(commands)
     add_camera_commands(commands)
     add_hands_commands(commands)
     return parser
@@ -126,12 +123,6 @@ def _export(options: argparse.Namespace) -> None:
     else:
         raise DataError(folder, "holds neither an execution (execution.json) nor a scene (scene.json)")
     print(f"{log}: {log.stat().st_size / 1e6:.1f} MB")
-
-
-def _import(options: argparse.Namespace) -> None:
-    from deltasafe.interchange import import_scene
-
-    print(f"{options.folder}: {import_scene(options.log, options.folder).id}")
 
 
 def _evaluate(options: argparse.Namespace) -> None:

@@ -83,6 +83,7 @@ def camera_from_intrinsics(
     Raises:
         DataError: as `read_camera`.
     """
+    fields = {name: value for name, value in fields.items() if value != []} | {"D": fields.get("D")}
     missing = [name for name in ("width", "height", "K", "D") if fields.get(name) is None]
     if missing:
         names = {"width": "image_width", "height": "image_height", "K": "camera_matrix", "D": "distortion_coefficients"}
@@ -152,7 +153,9 @@ def _refuse_cropped(path: pathlib.Path, fields: Mapping[str, Any]) -> None:
     offsets = [roi.get(name, 0) for name in ("x_offset", "y_offset")]
     sizes = [roi.get(name, 0) not in (0, fields[name]) for name in ("width", "height")]
     if any(offsets) or any(sizes) or any(fields.get(f"binning_{axis}") not in (None, 0, 1) for axis in "xy"):
-        raise DataError(path, "describes images with a region of interest or binning; switch both off in the driver")
+        raise DataError(
+            path, "describes images with a region of interest or binning; switch both off in the driver, and calibrate"
+        )
     if fields.get("xi") is not None:
         raise DataError(path, "is of an omnidirectional camera (xi); calibrate as plumb_bob or equidistant")
 
@@ -162,7 +165,7 @@ def _model(path: pathlib.Path, fields: Mapping[str, Any], distortion: Array) -> 
     if name is not None:
         name = MODEL_NAMES.get(str(name).lower(), str(name).lower())
         if name not in MODELS:
-            raise DataError(path, f"has the distortion model {name!r:.80}; only {list(MODELS)} can be read")
+            raise DataError(path, f"has the distortion model {name!r:.80}; calibrate with one of {list(MODELS)}")
         return name
     if not len(distortion):
         return "plumb_bob"
@@ -179,26 +182,20 @@ def _model(path: pathlib.Path, fields: Mapping[str, Any], distortion: Array) -> 
 
 def _is_rectified(path: pathlib.Path, fields: Mapping[str, Any], matrix: Array, image_kind: ImageKind | None) -> bool:
     """Whether to use P; refuse a file whose P or R differ from the camera itself if nothing says which is meant."""
-    if fields.get("P") is None:
-        if image_kind == "rectified":
-            raise DataError(path, "has no projection_matrix, which rectified images need; give it, or raw images")
-        return False
-    projection = numbers_of(path, "P", fields["P"], 12).reshape(3, 4)
+    projection = np.zeros((3, 4)) if fields.get("P") is None else numbers_of(path, "P", fields["P"], 12).reshape(3, 4)
     rotation = np.eye(3) if fields.get("R") is None else numbers_of(path, "R", fields["R"], 9).reshape(3, 3)
-    if not projection.any() and image_kind is None:  # an uncalibrated or unfilled message
-        return False
+    is_filled = bool(projection.any())  # simulators and uncalibrated drivers leave it at zero
     is_stereo = np.abs(rotation - np.eye(3)).max() > 1e-6 or bool(np.abs(projection[:, 3]).max() > TOLERANCE_PX)
     if image_kind == "rectified":
-        if is_stereo:
-            raise DataError(
-                path, "rectifies a stereo pair (R is not the identity, or P has an offset); give raw images"
-            )
+        if is_stereo or not is_filled:
+            what = "rectifies a stereo pair (R or P)" if is_stereo else "has no projection_matrix for rectified images"
+            raise DataError(path, f"{what}; give raw images and --image-kind raw")
         return True
-    differ = np.abs(projection[:, :3] - matrix.reshape(3, 3)).max() > TOLERANCE_PX
-    if differ or is_stereo:
+    differs = is_filled and np.abs(projection[:, :3] - matrix.reshape(3, 3)).max() > TOLERANCE_PX
+    if differs or is_stereo:
         what = "R is not the identity, or P has an offset" if is_stereo else "P differs from K"
         raise DataError(
             path,
-            f"describes raw and rectified images, and {what}; say which the image is (--image-kind raw or rectified)",
+            f"describes raw and rectified images, and {what}; give --image-kind raw or rectified, as the image is",
         )
     return False

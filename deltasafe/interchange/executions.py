@@ -11,7 +11,9 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution.recording import PHASES, Execution
 from deltasafe.geometry import Pose
 from deltasafe.interchange.frames import WORLD
-from deltasafe.interchange.mcap_log import NS_PER_S, open_log, read_log, stamp
+from deltasafe.interchange.log_content import NS_PER_S, stamp
+from deltasafe.interchange.mcap_log import open_log
+from deltasafe.interchange.reading import read_log
 from deltasafe.interchange.scenes import quaternion, upright, vector, write_scene_topics
 from deltasafe.planning.body import ToolBody
 from deltasafe.scene import LoggedScene

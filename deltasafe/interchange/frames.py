@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from deltasafe.errors import DataError
-from deltasafe.interchange.mcap_log import NS_PER_S, LogContent, time_ns_of
+from deltasafe.interchange.log_content import NS_PER_S, LogContent, time_ns_of
 
 WORLD = "world"
 UNIT_TOLERANCE = 1e-3
@@ -64,31 +64,33 @@ class _Transform:
 
 
 class Frames:
-    """The transforms on a topic of a log.
+    """The transforms of a log.
 
     Args:
         log: the log.
-        topic: of messages ``foxglove.FrameTransform``.
+        topics: of messages ``foxglove.FrameTransform``. Transforms on a topic ``tf_static`` hold at all times.
+        world: name of the world frame.
 
     Raises:
-        DataError: the topic has no message, or a message without a frame or a timestamp.
+        DataError: a topic has no message, or a message without a frame or a timestamp.
     """
 
-    def __init__(self, log: LogContent, topic: str) -> None:
-        self._log, self._topic = log, topic
+    def __init__(self, log: LogContent, topics: Sequence[str], world: str = WORLD) -> None:
+        self._log, self._topic, self._world = log, " and ".join(topics), world
         self._transforms = [
             _Transform(
                 frame_of(log, topic, message, "parent_frame_id"),
                 frame_of(log, topic, message, "child_frame_id"),
-                time_ns_of(log.path, topic, message),
+                -1 if topic.endswith("tf_static") else time_ns_of(log.path, topic, message),
                 message,
             )
+            for topic in topics
             for message in log.messages_on(topic)
         ]
 
     def is_connected(self, frame: str, time_ns: int) -> bool:
         """Whether transforms not later than ``time_ns`` connect the world with the frame."""
-        return _chain(self._newest(time_ns), frame) is not None
+        return _chain(self._newest(time_ns), self._world, frame) is not None
 
     def pose_in_world(self, frame: str, time_ns: int) -> FramePose:
         """Compose the pose of a frame in the world from the newest transforms that are not later than ``time_ns``.
@@ -100,22 +102,22 @@ class Frames:
                 finite, or its quaternion is not of unit length.
         """
         usable = self._newest(time_ns)
-        chain = _chain(usable, frame)
+        chain = _chain(usable, self._world, frame)
         if chain is None:
             raise DataError(self._log.path, f"{self._topic} {self._no_chain(frame, time_ns)}")
         if len(chain) > MAX_LINKS:
             raise DataError(
                 self._log.path,
-                f"{self._topic} has {len(chain)} transforms from {WORLD!r} to {frame!r}, at most {MAX_LINKS} are "
+                f"{self._topic} has {len(chain)} transforms from {self._world!r} to {frame!r}, at most {MAX_LINKS} are "
                 "read; give a shorter chain",
             )
         pose = self._composed(chain)
         for link in chain:  # any other chain lacks one of the links
-            other = _chain([one for one in usable if one is not link], frame)
+            other = _chain([one for one in usable if one is not link], self._world, frame)
             if other is not None and not same_pose(pose, self._composed(other)):
                 raise DataError(
                     self._log.path,
-                    f"{self._topic} gives {frame!r} two poses in {WORLD!r}: by {_names(chain)}, and by "
+                    f"{self._topic} gives {frame!r} two poses in {self._world!r}: by {_names(chain)}, and by "
                     f"{_names(other)}; remove the wrong transform",
                 )
         return pose
@@ -134,7 +136,7 @@ class Frames:
         return list(itertools.chain.from_iterable(newest.values()))
 
     def _composed(self, chain: Sequence[_Transform]) -> FramePose:
-        pose, here = ORIGIN, WORLD
+        pose, here = ORIGIN, self._world
         for one in chain:
             what = f"{self._topic} ({one.parent} -> {one.child})"
             link = pose_of(self._log, what, one.message.get("translation"), one.message.get("rotation"))
@@ -143,13 +145,14 @@ class Frames:
         return pose
 
     def _no_chain(self, frame: str, time_ns: int) -> str:
-        if _chain(self._transforms, frame) is not None:
+        if _chain(self._transforms, self._world, frame) is not None:
             return (
-                f"connects {WORLD!r} with {frame!r} only later than {time_ns / NS_PER_S:.9g} s, the time of the "
+                f"connects {self._world!r} with {frame!r} only later than {time_ns / NS_PER_S:.9g} s, the time of the "
                 "image; give transforms from before the image"
             )
         pairs = sorted({f"{one.parent} -> {one.child}" for one in self._transforms})
-        return f"does not connect {WORLD!r} with {frame!r}, it holds {', '.join(pairs):.200}; add the missing transform"
+        held = f"it holds {', '.join(pairs):.200}"
+        return f"does not connect {self._world!r} with {frame!r}, {held}; add the missing transform"
 
 
 def pose_of(log: LogContent, what: str, position: Any, orientation: Any) -> FramePose:
@@ -199,14 +202,14 @@ def _numbers(log: LogContent, what: str, value: Any, names: str) -> NDArray[np.f
     return np.array(found, np.float64)
 
 
-def _chain(transforms: Sequence[_Transform], frame: str) -> list[_Transform] | None:
-    """The shortest chain from the world to a frame (breadth-first search)."""
+def _chain(transforms: Sequence[_Transform], world: str, frame: str) -> list[_Transform] | None:
+    """The shortest chain between two frames (breadth-first search)."""
     neighbors: dict[str, list[tuple[str, _Transform]]] = {}
     for one in transforms:
         neighbors.setdefault(one.parent, []).append((one.child, one))
         neighbors.setdefault(one.child, []).append((one.parent, one))
-    reached: dict[str, tuple[str, _Transform] | None] = {WORLD: None}
-    front = [WORLD]
+    reached: dict[str, tuple[str, _Transform] | None] = {world: None}
+    front = [world]
     while front and frame not in reached:
         following = []
         for here in front:

@@ -1,39 +1,21 @@
-"""MCAP files with JSON messages on topics, facts as metadata, and files as attachments. The only importer of mcap."""
+"""MCAP files: messages on topics, facts as metadata, and files as attachments. The only importer of mcap."""
 
-import base64
 import contextlib
-import dataclasses
+import functools
 import importlib.util
 import json
 import pathlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from deltasafe.errors import DataError, SettingsError
+from deltasafe.errors import SettingsError
+from deltasafe.interchange.log_content import LogBuilder, stamp
+from deltasafe.interchange.messages import KINDS, type_name_of
+from deltasafe.interchange.ros_bag import decode_cdr
 from deltasafe.interchange.schemas import SCHEMAS
-from deltasafe.io.arrays import READ_ERRORS
 from deltasafe.io.storage import atomic_file, parse_json
 
 LIBRARY = "deltasafe"
-NS_PER_S = 1_000_000_000
-
-
-def stamp(time_ns: int) -> dict[str, int]:
-    """Convert a time to a ``timestamp``."""
-    return {"sec": time_ns // NS_PER_S, "nsec": time_ns % NS_PER_S}
-
-
-def time_ns_of(path: pathlib.Path, topic: str, message: Mapping[str, Any]) -> int:
-    """Return the ``timestamp`` of a message in nanoseconds.
-
-    Raises:
-        DataError: it is missing or invalid.
-    """
-    time = message.get("timestamp")
-    parts: list[Any] = [time.get("sec"), time.get("nsec")] if isinstance(time, dict) else [None]
-    if not all(type(part) is int and part >= 0 for part in parts) or parts[-1] >= NS_PER_S:
-        raise DataError(path, f"{topic} needs a timestamp of sec and nsec, got {time!r:.80}; record it again")
-    return int(parts[0] * NS_PER_S + parts[1])
 
 
 @contextlib.contextmanager
@@ -84,94 +66,50 @@ class LogWriter:
         self._writer.add_attachment(0, 0, name, media_type, data)
 
 
-@dataclasses.dataclass(frozen=True)
-class LogContent:
-    """Content of a log.
-
-    Attributes:
-        path: the file.
-        messages: by topic, ordered by time.
-        facts: by name of the metadata.
-        attachments: by name.
-    """
-
-    path: pathlib.Path
-    messages: dict[str, list[dict[str, Any]]]
-    facts: dict[str, dict[str, Any]]
-    attachments: dict[str, bytes]
-
-    def messages_on(self, topic: str) -> list[dict[str, Any]]:
-        """Return the messages on a topic, at least one; raise DataError if there is none."""
-        return self._required(self.messages, "messages on", topic)
-
-    def facts_named(self, name: str) -> dict[str, Any]:
-        """Return the facts of a metadata record; raise DataError if there is none."""
-        return self._required(self.facts, "metadata", name)
-
-    def attachment(self, name: str) -> bytes:
-        """Return an attached file; raise DataError if there is none."""
-        return self._required(self.attachments, "attachment", name)
-
-    def image(self, topic: str) -> tuple[bytes, str]:
-        """Return the first image on a topic as the bytes of a file, and its format."""
-        message = self.messages_on(topic)[0]
-        try:
-            return base64.b64decode(message["data"], validate=True), str(message["format"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise DataError(self.path, f"{topic} holds no compressed image ({error!r}); export it again") from error
-
-    def _required(self, found: dict[str, Any], kind: str, name: str) -> Any:
-        if name not in found:
-            raise DataError(self.path, f"has no {kind} {name}, only {sorted(found)}; write it with deltasafe export")
-        return found[name]
-
-
-def read_log(path: str | pathlib.Path) -> LogContent:
-    """Read a log. Messages that are not JSON are skipped, so that logs of other tools can be read.
+def add_mcap(path: pathlib.Path, builder: LogBuilder) -> None:
+    """Add all records of a file in one pass: the index at the end may be missing or incomplete.
 
     Raises:
-        DataError: the file is missing, truncated, damaged, or not MCAP.
-        SettingsError: the package mcap is not installed.
+        SettingsError: the package mcap is not installed, or rosbags for messages in CDR.
+        ValueError, and others of ``READ_ERRORS``: the file is damaged.
     """
     _require_mcap()
     from mcap.exceptions import McapError
     from zstandard import ZstdError
 
-    path = pathlib.Path(path)
-    if path.exists() and not path.is_file():  # reading a pipe would block
-        raise DataError(path, "is not a file; give the log's file")
     try:
-        return _content(path)
-    except FileNotFoundError:
-        raise DataError(path, "is missing; give the log's file") from None
-    except (*READ_ERRORS, McapError, ZstdError, AssertionError, IndexError, OverflowError) as error:
-        raise DataError(path, f"is not a readable MCAP log ({error!r}); record or export it again") from error
+        _add_records(path, builder)
+    except (McapError, ZstdError, AssertionError, IndexError, OverflowError) as error:
+        raise ValueError(repr(error)) from error
 
 
-def _content(path: pathlib.Path) -> LogContent:
-    """Read all records in one pass: the index at the end may be missing or incomplete."""
-    from mcap.records import Attachment, Channel, Message, Metadata
+def _add_records(path: pathlib.Path, builder: LogBuilder) -> None:
+    from mcap.records import Attachment, Channel, Message, Metadata, Schema
     from mcap.stream_reader import StreamReader
 
     channels: dict[int, Any] = {}
-    messages: list[Any] = []
-    facts: dict[str, dict[str, Any]] = {}
-    attachments: dict[str, bytes] = {}
+    types: dict[int, str] = {}
     with path.open("rb") as stream:
         # the limit keeps a damaged length from allocating memory
         for record in StreamReader(stream, validate_crcs=True, record_size_limit=path.stat().st_size).records:
-            if isinstance(record, Channel):
+            if isinstance(record, Schema):
+                types[record.id] = type_name_of(record.name)
+            elif isinstance(record, Channel):
                 channels[record.id] = record
-            elif isinstance(record, Message) and channels[record.channel_id].message_encoding == "json":
-                messages.append(record)
+            elif isinstance(record, Message):
+                channel = channels[record.channel_id]
+                name, encoding = types.get(channel.schema_id, ""), channel.message_encoding
+                if encoding == "json":
+                    builder.add(channel.topic, name, record.log_time, functools.partial(_object, record.data))
+                elif encoding == "cdr" and name in KINDS:
+                    decode = functools.partial(decode_cdr, name, record.data)
+                    builder.add(channel.topic, name, record.log_time, decode)
+                elif name in KINDS:
+                    builder.skip(channel.topic, f"{name} in {encoding}")
             elif isinstance(record, Metadata) and record.name.startswith(f"{LIBRARY}."):
-                facts[record.name] = {key: parse_json(value) for key, value in record.metadata.items()}
+                builder.facts[record.name] = {key: parse_json(value) for key, value in record.metadata.items()}
             elif isinstance(record, Attachment):
-                attachments[record.name] = bytes(record.data)
-    by_topic: dict[str, list[dict[str, Any]]] = {}
-    for message in sorted(messages, key=lambda one: one.log_time):  # a stable sort
-        by_topic.setdefault(channels[message.channel_id].topic, []).append(_object(message.data))
-    return LogContent(path, by_topic, facts, attachments)
+                builder.attachments[record.name] = bytes(record.data)
 
 
 def _object(data: bytes) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Export of a logged scene as an MCAP log, and its import: image, calibration, camera pose, task, ground truth."""
+"""Export of a logged scene as an MCAP log: image, calibration, camera pose, task, ground truth."""
 
 import base64
 import math
@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from deltasafe.cameras.model import HALF_PIXEL
 from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
-from deltasafe.interchange.frames import WORLD, Frames, frame_of, pose_of, same_pose
-from deltasafe.interchange.mcap_log import LogContent, LogWriter, open_log, read_log, stamp, time_ns_of
-from deltasafe.io.images import read_rgb
-from deltasafe.io.storage import atomic_folder, write_json
-from deltasafe.perception.data.masks import read_mask
+from deltasafe.interchange.frames import WORLD
+from deltasafe.interchange.log_content import stamp
+from deltasafe.interchange.mcap_log import LogWriter, open_log
 from deltasafe.scene import LoggedScene
 
 IMAGE, CALIBRATION, TRANSFORM = "/camera/image", "/camera/calibration", "/tf"
@@ -24,8 +23,6 @@ FACTS = "deltasafe.scene"
 CAMERA = "camera"
 FORMATS = {"jpeg": "image.jpg", "png": "image.png"}
 MASK, MESH = "hand_mask.png", "hand_mesh.npz"
-MAX_TILT_RAD = math.radians(0.1)
-"""Of a start or goal, which are upright for the planner: 0.07 mm at the rim of a disc of 40 mm."""
 
 
 def export_scene(scene: LoggedScene, destination: str | pathlib.Path) -> None:
@@ -53,8 +50,9 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
         raise DataError(scene.image_path, "is neither JPEG nor PNG; convert it to one of these")
     data = base64.b64encode(scene.image_path.read_bytes()).decode()
     log.write_message(IMAGE, "foxglove.CompressedImage", 0, {"frame_id": CAMERA, "data": data, "format": suffix})
-    intrinsic = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
-    projection = [camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    cx, cy = camera.cx - HALF_PIXEL, camera.cy - HALF_PIXEL  # viewers count pixels as OpenCV and ROS do
+    intrinsic = [camera.fx, 0.0, cx, 0.0, camera.fy, cy, 0.0, 0.0, 1.0]
+    projection = [camera.fx, 0.0, cx, 0.0, 0.0, camera.fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     log.write_message(
         CALIBRATION,
         "foxglove.CameraCalibration",
@@ -93,64 +91,10 @@ def write_scene_topics(log: LogWriter, scene: LoggedScene) -> None:
             "id": scene.id,
             "table_z_m": scene.table_z_m,
             "hand_height_m": scene.hand_height_m,
+            "first_pixel_center": 0.0,
             "camera_rotation": camera.world_from_camera_rotation.tolist(),
         },
     )
-
-
-def import_scene(source: str | pathlib.Path, folder: str | pathlib.Path) -> LoggedScene:
-    """Convert an MCAP log to a scene folder (docs/reference/formats.md) atomically, and load it.
-
-    The first image is used. Poses are transformed into the frame ``world`` at the time of that image. True mask and
-    mesh are taken from the attachments, if there are any.
-
-    Raises:
-        DataError: the log is damaged; it lacks a topic or a fact; its frames, sizes or rotations contradict each other;
-            or a task pose is not upright.
-        SettingsError: the package mcap is not installed.
-    """
-    log = read_log(source)
-    facts = log.facts_named(FACTS)
-    data, form = log.image(IMAGE)
-    if form not in FORMATS:
-        raise DataError(log.path, f"{IMAGE} is {form!r}; only {sorted(FORMATS)} can be read, convert it")
-    frames = Frames(log, TRANSFORM)
-    truth = {key: name for key, name in (("mask", MASK), ("mesh", MESH)) if name in log.attachments}
-    try:
-        record = {
-            "id": facts["id"],
-            "image": FORMATS[form],
-            "camera": _camera(log, facts, frames),
-            "table_z_m": facts["table_z_m"],
-            "hand_height_m": facts["hand_height_m"],
-            "start": _task(log, START, frames),
-            "goal": _task(log, GOAL, frames),
-            **({"ground_truth": truth} if truth else {}),
-        }
-    except DataError:
-        raise
-    except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise DataError(log.path, f"describes no scene ({error!r}); export it again") from error
-    with atomic_folder(folder) as temporary:
-        (temporary / FORMATS[form]).write_bytes(data)
-        for name in truth.values():
-            (temporary / name).write_bytes(log.attachment(name))
-        write_json(temporary / "scene.json", record)
-        try:
-            scene = LoggedScene.load(temporary)
-            pixels = {IMAGE: read_rgb(scene.image_path)}
-            if scene.mask_path is not None:
-                pixels[MASK] = read_mask(scene.mask_path)
-        except DataError as error:  # it names a temporary folder
-            raise DataError(log.path, f"holds a scene whose {error.path.name} {error.reason}") from error
-        for topic, image in pixels.items():
-            if image.shape[:2] != (scene.camera.height, scene.camera.width):
-                raise DataError(
-                    log.path,
-                    f"{topic} is {image.shape[1]} x {image.shape[0]} pixels, {CALIBRATION} is for "
-                    f"{scene.camera.width} x {scene.camera.height}; give the calibration of that image",
-                )
-    return LoggedScene.load(folder)
 
 
 def vector(values: Any) -> dict[str, float]:
@@ -178,87 +122,6 @@ def yaw_about_z(z: float, w: float) -> float:
     """Return the yaw in [-pi, pi] of a quaternion whose x and y are (nearly) zero."""
     yaw_rad = 2 * math.atan2(z, w)
     return yaw_rad - math.copysign(2 * math.pi, yaw_rad) if abs(yaw_rad) > math.pi else yaw_rad
-
-
-def _camera(log: LogContent, facts: dict[str, Any], frames: Frames) -> dict[str, Any]:
-    calibration = _calibration(log)
-    if any(value != 0 for value in calibration["D"]):
-        raise DataError(log.path, f"{CALIBRATION} has a distortion; rectify the image")
-    intrinsic = calibration["K"]
-    frame = frame_of(log, IMAGE, log.messages_on(IMAGE)[0])
-    if frame == WORLD:
-        raise DataError(log.path, f"{IMAGE} is in the frame {WORLD!r}; give the camera a frame of its own")
-    pose = frames.pose_in_world(frame, _image_time_ns(log))
-    turned = pose.rotation.as_matrix()
-    exact = np.array(facts.get("camera_rotation", turned.tolist()), np.float64)
-    if exact.shape != (3, 3) or not np.abs(exact - turned).max() <= 1e-6:
-        raise DataError(
-            log.path, f"{TRANSFORM} and the metadata disagree about where the camera looks; export it again"
-        )
-    return {
-        "width": calibration["width"],
-        "height": calibration["height"],
-        "fx": intrinsic[0],
-        "fy": intrinsic[4],
-        "cx": intrinsic[2],
-        "cy": intrinsic[5],
-        "position_m": pose.position_m.tolist(),
-        "world_from_camera_rotation": exact.tolist(),
-    }
-
-
-def _image_time_ns(log: LogContent) -> int:
-    return time_ns_of(log.path, IMAGE, log.messages_on(IMAGE)[0])
-
-
-def _calibration(log: LogContent) -> dict[str, Any]:
-    """The calibration in the image's frame; if they differ, the newest one that is not later than the image."""
-    frame, messages = frame_of(log, IMAGE, log.messages_on(IMAGE)[0]), log.messages_on(CALIBRATION)
-    found = [one for one in messages if frame_of(log, CALIBRATION, one) == frame]
-    if not found:
-        names = sorted({frame_of(log, CALIBRATION, one) for one in messages})
-        raise DataError(
-            log.path,
-            f"{CALIBRATION} is of the frame {', '.join(map(repr, names))}, {IMAGE} of {frame!r}; "
-            "give the calibration of that camera",
-        )
-    if _agree(found):
-        return found[0]
-    earlier = [one for one in found if time_ns_of(log.path, CALIBRATION, one) <= _image_time_ns(log)]
-    if not earlier:
-        raise DataError(log.path, f"{CALIBRATION} varies, and all are later than {IMAGE}; give the one of that image")
-    return max(earlier, key=lambda one: time_ns_of(log.path, CALIBRATION, one))
-
-
-def _task(log: LogContent, topic: str, frames: Frames) -> dict[str, Any]:
-    """Start or goal in the world frame, upright."""
-    messages = log.messages_on(topic)
-    if not _agree(messages):
-        raise DataError(log.path, f"{topic} holds {len(messages)} poses that differ; keep the one of the task")
-    message, image_ns = messages[0], _image_time_ns(log)
-    given = pose_of(log, topic, message["pose"]["position"], message["pose"]["orientation"])
-    frame, own_ns = frame_of(log, topic, message), time_ns_of(log.path, topic, message)
-    outer = frames.pose_in_world(frame, image_ns)
-    if frames.is_connected(frame, own_ns) and not same_pose(outer, frames.pose_in_world(frame, own_ns)):
-        raise DataError(
-            log.path,
-            f"{topic} is given in the frame {frame!r}, which moved between {IMAGE} and that pose; "
-            f"give the pose in the frame {WORLD!r}",
-        )
-    pose = given.within(outer)
-    tilt_rad = math.acos(min(max(float(pose.rotation.as_matrix()[2, 2]), -1.0), 1.0))
-    if tilt_rad > MAX_TILT_RAD:
-        raise DataError(
-            log.path,
-            f"{topic} is tilted by {math.degrees(tilt_rad):.4g} degrees in the frame {WORLD!r}; give a pose that is "
-            f"upright (z up) within {math.degrees(MAX_TILT_RAD):g} degrees, the tool rotates about the vertical only",
-        )
-    return {"position_m": pose.position_m.tolist(), "yaw_rad": yaw_about_z(*map(float, pose.quaternion[2:]))}
-
-
-def _agree(messages: list[dict[str, Any]]) -> bool:
-    """Whether messages are equal except for their timestamps."""
-    return all({**one, "timestamp": None} == {**messages[0], "timestamp": None} for one in messages)
 
 
 def _hand(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> dict[str, Any]:

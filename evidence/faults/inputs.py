@@ -1,8 +1,8 @@
 """Reject malformed inputs: each one must raise a typed error that names the file and a remedy.
 
 Every case is a valid input with one corruption. It is given to the library, and to the command that reads such an
-input (``deltasafe verify``, ``predict``, ``export``, ``import``). The command must print one line, no traceback, and
-exit with a nonzero status. Neither may leave output behind.
+input (``deltasafe verify``, ``predict``, ``export``, ``import``, ``camera locate``). The command must print one line,
+no traceback, and exit with a nonzero status. Neither may leave output behind.
 
 Inputs in the forms that people have them must be accepted, with the same pixels (`evidence.faults.welcome`).
 """
@@ -18,6 +18,7 @@ import numpy as np
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import DeltasafeError
+from evidence.faults.malformed.cameras import bag_cases, camera_cases
 from evidence.faults.malformed.ensembles import ensemble_cases
 from evidence.faults.malformed.labels import label_cases
 from evidence.faults.malformed.logs import log_cases
@@ -42,6 +43,8 @@ def all_cases(home: pathlib.Path) -> list[Case]:
         *label_cases(home),
         *scene_cases(scene),
         *log_cases(home, scene),
+        *bag_cases(home),
+        *camera_cases(home),
         *recording_cases(home, home / "ensemble" / "member-0"),
         *task_cases(home),
         *ensemble_cases(frozen),

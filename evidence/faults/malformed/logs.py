@@ -8,7 +8,8 @@ from random import Random
 from typing import Any
 
 from deltasafe.interchange import export_scene, import_scene
-from deltasafe.interchange.mcap_log import open_log, read_log
+from deltasafe.interchange.mcap_log import open_log
+from deltasafe.interchange.reading import read_log
 from deltasafe.interchange.scenes import CALIBRATION, FACTS, GOAL, IMAGE, MESH, START, TRANSFORM
 from deltasafe.scene import LoggedScene
 from evidence.faults.malformed.documents import set_in
@@ -26,6 +27,7 @@ FACT_VALUES: tuple[tuple[str, list[Any]], ...] = (
     ("id", ["../../escaped", "/etc/escaped", 7]),
     ("table_z_m", ["low", 600.0]),
     ("hand_height_m", [-1.0, None]),
+    ("first_pixel_center", ["corner", 7.0, None]),
     ("camera_rotation", [[[1.0, 0, 0]], "level", [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]]),
 )
 
@@ -43,7 +45,10 @@ MESSAGE_VALUES: tuple[tuple[str, str, list[Any]], ...] = (
     (IMAGE, "frame_id", ["camera_right", "world"]),
     (IMAGE, "data", ["no base64!", 5]),
     (CALIBRATION, "K", [[], [0.0] * 9, "matrix", [1.0, None]]),
-    (CALIBRATION, "D", [[0.1, 0.0, 0.0, 0.0, 0.0], None]),
+    (CALIBRATION, "D", [[0.1, 0.0], [-9.0, 0.0, 0.0, 0.0, 0.0], None]),
+    (CALIBRATION, "P", [[1.0] * 12, [1.0], "matrix"]),
+    (CALIBRATION, "R", [[0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]]),
+    (CALIBRATION, "distortion_model", ["double_sphere", 5]),
     (CALIBRATION, "frame_id", ["camera_right"]),
     (CALIBRATION, "width", [0, "640", 641]),
     (CALIBRATION, "height", [-1]),

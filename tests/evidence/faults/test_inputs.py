@@ -59,6 +59,16 @@ def test_malformed_scenes_are_rejected(home: pathlib.Path) -> None:
     assert [failure.text for failure in check_all(cases[::3], home, seed=1)] == []
 
 
+def test_malformed_calibrations_and_bags_are_rejected(home: pathlib.Path) -> None:
+    pytest.importorskip("rosbags")
+    from evidence.faults.malformed.cameras import bag_cases, camera_cases
+
+    cases = [*camera_cases(home), *bag_cases(home)]
+    assert len(cases) > 150
+    assert rejected_valid_inputs(cases, home) == []
+    assert [failure.text for failure in check_all(cases[::3], home, seed=1)] == []
+
+
 def test_wrong_rejections_are_detected(tmp_path: pathlib.Path) -> None:
     valid = tmp_path / "valid.json"
     valid.write_text('{"a": 1}')

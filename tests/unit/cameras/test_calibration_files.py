@@ -150,7 +150,7 @@ R_LINE = "data: [1, 0, 0, 0, 1, 0, 0, 0, 1]"
 def test_raw_and_rectified_images_have_different_intrinsics(tmp_path):
     path = tmp_path / "ost.yaml"
     path.write_text(CAMERA_INFO.replace(P_OF_K, P_OF_ROS))
-    with pytest.raises(DataError, match="P differs from K; say which"):
+    with pytest.raises(DataError, match="P differs from K; give --image-kind"):
         read_camera(path)
     assert_expected(read_camera(path, "raw"))
     rectified = read_camera(path, "rectified")
