@@ -1,7 +1,7 @@
 """Evaluate a frozen ensemble on a folder of labeled images that it has never seen (`deltasafe evaluate`).
 
 The ensemble keeps its temperature: nothing is fitted that changes a probability. One image is in memory at a time, and
-predictions are not stored.
+predictions are not stored. Images of more than ``EVALUATION_PIXELS`` pixels are scaled down with their masks.
 """
 
 import dataclasses
@@ -60,7 +60,7 @@ def evaluate_folder(
 
     Raises:
         DataError: lists the defective files; or the set shows another obstacle than the ensemble; or ``destination``
-            is no earlier report.
+            is no earlier report; or lists images with the same pixels.
     """
     folder, destination = pathlib.Path(folder), pathlib.Path(destination)
     if destination.exists() and not (destination / METRICS_FILE).is_file():

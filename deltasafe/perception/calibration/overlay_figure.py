@@ -53,11 +53,10 @@ def overlay_figure(overlays: Sequence[Overlay], delta: float = 0.05, thing: str 
     """
     if not overlays:
         raise SettingsError("an overlay needs at least one image")
-    height, width = np.shape(overlays[0].label)
+    heights_in = [3.55 * height / width + 0.28 for height, width in (np.shape(one.label) for one in overlays)]
     layout = ConstrainedLayoutEngine(h_pad=0.06, rect=(0, 0, 1, 0.99))
-    row_height = 3.55 * height / width + 0.28
-    figure = Figure(figsize=(11, row_height * len(overlays) + 0.85), layout=layout)
-    grid = figure.subplots(len(overlays), 3, squeeze=False)
+    figure = Figure(figsize=(11, sum(heights_in) + 0.85), layout=layout)
+    grid = figure.subplots(len(overlays), 3, squeeze=False, height_ratios=heights_in)
     for axes, overlay in zip(grid, overlays, strict=True):
         picture = _draw_row(axes, overlay, delta, thing)
     bar = figure.colorbar(picture, ax=list(grid[:, 1]), location="bottom", aspect=30, shrink=0.9, pad=0.01)
