@@ -169,7 +169,9 @@ class _Import:
         try:
             return read(path)
         except DataError as error:
-            raise DataError(self.log.path, f"holds a scene whose {error.path.name} {error.reason}") from error
+            what = "that" if error.path == path else f"whose {error.path.name}"
+            reason = error.reason.replace(f"{path if path.is_dir() else path.parent}/", "")
+            raise DataError(self.log.path, f"holds a scene {what} {reason}") from error
 
     def _model(self, rgb: NDArray[np.uint8]) -> CameraModel:
         """The camera with its pose in the world frame."""
