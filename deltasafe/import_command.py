@@ -22,7 +22,9 @@ def add_import_command(commands: Any) -> None:
     add_image_kind(parser)
     parser.add_argument("--camera-frame", metavar="FRAME", help="optical frame, instead of the image's frame_id")
     parser.add_argument("--world-frame", default="world", metavar="FRAME", help="world frame, z up (default: world)")
-    parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="after the topic's first image")
+    parser.add_argument(
+        "--at", type=float, default=0.0, metavar="SECONDS", help="use the first image this long after the first"
+    )
     parser.add_argument("--table-z", type=float, metavar="M", help="height of the table in the world frame")
     parser.add_argument("--hand-height", type=float, metavar="M", help="height of the hand above the table")
     for name in ("start", "goal"):

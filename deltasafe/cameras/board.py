@@ -103,6 +103,15 @@ class Board:
         make = cv2.aruco.CharucoBoard if self.kind == "charuco" else cv2.aruco.GridBoard
         return make(size, self.size_m, self.inner_m, markers)
 
+    @functools.cached_property
+    def legacy(self) -> Any:
+        """The ChArUco board as OpenCV before 4.6 and other generators draw it: with a white square at the top left."""
+        board = cv2.aruco.CharucoBoard(
+            (self.columns, self.rows), self.size_m, self.inner_m, _dictionary(self.dictionary)
+        )
+        board.setLegacyPattern(True)
+        return board
+
     def from_opencv(self, points_m: Array) -> Array:
         """Convert points (N, 3) from OpenCV's frame of the board to the page's."""
         return np.asarray(points_m, np.float64).reshape(-1, 3) * (1, -1, -1) + (0, self.extent_m[1], 0)

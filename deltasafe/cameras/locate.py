@@ -93,7 +93,11 @@ def _detect(image: NDArray[np.uint8], board: Board) -> tuple[Array, Array, int]:
     ids: Any
     if board.kind == "charuco":
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        found, ids, _, markers = cv2.aruco.CharucoDetector(board.opencv, detectorParams=parameters).detectBoard(gray)
+        patterns = [board.opencv, board.legacy] if board.rows % 2 == 0 else [board.opencv]
+        for pattern in patterns:  # with an odd number of rows they are equal
+            found, ids, _, markers = cv2.aruco.CharucoDetector(pattern, detectorParams=parameters).detectBoard(gray)
+            if ids is not None and len(ids) >= MIN_CORNERS:
+                break
         places = np.asarray(board.opencv.getChessboardCorners())
         shift = HALF_PIXEL
     else:  # 0.1 px instead of the 0.5 px of the other methods; it puts the center of the first pixel at (0.5, 0.5)

@@ -219,12 +219,15 @@ class _Import:
         for name, places in (("K", (2, 5)), ("P", (2, 6))):
             if first and fields.get(name):
                 fields[name] = [value - first * (n in places) for n, value in enumerate(fields[name])]
-        words = self.topic.rsplit("/", 1)[-1].split("_")
+        words = self._base_topic().rsplit("/", 1)[-1].split("_")
         kind: ImageKind | None = "rectified" if "rect" in words else "raw" if "raw" in words else None
         return camera_from_intrinsics(self.log.path, fields, self.options.image_kind or kind)
 
+    def _base_topic(self) -> str:
+        return self.topic.removesuffix("/compressed")  # image_transport names the compressed topic after the raw one
+
     def _calibration_topic(self) -> str:
-        beside = f"{self.topic.rsplit('/', 1)[0]}/camera_info"
+        beside = f"{self._base_topic().rsplit('/', 1)[0]}/camera_info"
         usual = beside if beside in self.log.messages else CALIBRATION
         return _topic(self.log, "calibration", self.options.calibration_topic, usual, "--calibration-topic or --camera")
 

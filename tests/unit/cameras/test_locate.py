@@ -81,6 +81,18 @@ def test_the_origin_of_the_board_moves_the_camera():
     assert math.sqrt(((uv - moved.corners_uv) ** 2).sum(axis=1).mean()) == pytest.approx(moved.error_px)
 
 
+@pytest.mark.parametrize("is_legacy", [False, True])
+def test_boards_with_a_white_corner_are_located_as_well(is_legacy, monkeypatch):
+    board = Board.parse("charuco:7x6:0.025:0.018")
+    view = look_at(np.array([0.09, 0.075, 0]), 0.35, 0.4, 0.2, 0.3)
+    if is_legacy:
+        monkeypatch.setitem(board.__dict__, "opencv", board.legacy)
+    image = render_board(board, BARREL, view, (0.0, 0.0, 0.0, 0.0), np.random.default_rng(0))
+    found = locate_camera(image, model_of(BARREL, "plumb_bob"), Board.parse("charuco:7x6:0.025:0.018"))
+    assert np.linalg.norm(found.model.position_m - view.position_m) < 0.003
+    assert len(found.corners_uv) == 30
+
+
 def test_a_resized_image_gives_the_same_pose():
     view = view_of(CHARUCO, 0.35)
     image = rendered(CHARUCO, view, lens=LENSES["plumb_bob"][0])

@@ -73,6 +73,7 @@ TYPES = {
     "/cam/image": "sensor_msgs/msg/Image",
     "/cam/image/compressed": "sensor_msgs/msg/CompressedImage",
     "/cam/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/other/camera_info": "sensor_msgs/msg/CameraInfo",
     "/tf": "tf2_msgs/msg/TFMessage",
     "/tf_static": "tf2_msgs/msg/TFMessage",
     "/goal": "geometry_msgs/msg/PoseStamped",
@@ -183,12 +184,9 @@ def test_packed_yuv_is_gray_for_neutral_chroma(tmp_path, encoding, order):
 
 @pytest.mark.parametrize("form", ["png", "rgb8; png compressed bgr8"])
 def test_compressed_images_keep_their_bytes(tmp_path, form):
-    content = messages(**{"/cam/image": None, "/cam/image/compressed": [(10.0, png(form=form))]})
-    scene = import_scene(
-        write_bag(tmp_path / "bag", content),
-        tmp_path / "scene",
-        ImportOptions(world_frame="map", calibration_topic="/cam/camera_info", **GIVEN),
-    )
+    other = {"/other/camera_info": [(9.9, info(k=[2 * value for value in K]))]}
+    content = messages(**{"/cam/image": None, "/cam/image/compressed": [(10.0, png(form=form))]}, **other)
+    scene = import_scene(write_bag(tmp_path / "bag", content), tmp_path / "scene", OPTIONS)
     assert_expected(scene)
     assert scene.image_path.read_bytes() == png()["data"]
 
