@@ -3,16 +3,18 @@
 import dataclasses
 import functools
 import pathlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 from deltasafe.io.storage import atomic_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -153,7 +155,9 @@ def draw_board(board: Board, destination: str | pathlib.Path) -> str:
     raise SettingsError(f"a board of {width_mm:g} x {height_mm:g} mm does not fit on A0; make it smaller")
 
 
-def _page(board: Board, paper: str, page_mm: tuple[float, float]) -> Figure:
+def _page(board: Board, paper: str, page_mm: tuple[float, float]) -> "Figure":
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(page_mm[0] / MM_PER_INCH, page_mm[1] / MM_PER_INCH))
     ax = figure.add_axes((0, 0, 1, 1))
     ax.set_axis_off()
@@ -181,7 +185,7 @@ def _page(board: Board, paper: str, page_mm: tuple[float, float]) -> Figure:
     return figure
 
 
-def _draw_axes(ax: Axes) -> None:
+def _draw_axes(ax: "Axes") -> None:
     """Mark the origin and the directions of x and y, with a white border around the pattern."""
     for name, start, tip in (("x", (4, -6), (20, -6)), ("y", (-6, 4), (-6, 20))):
         ax.annotate("", tip, start, arrowprops={"arrowstyle": "->", "lw": 1.0})

@@ -314,3 +314,49 @@ def test_late_timestamps_do_not_change_the_scene(log):
     scene = log.load()
     assert (scene.start, scene.goal) == (SCENE.start, SCENE.goal)
     assert_camera_as_logged(scene, atol=0)
+
+
+def test_exported_calibrations_count_pixels_as_opencv_does(log):
+    points_m = np.array([[0.05, 0.02, 0.01], [-0.1, 0.0, 0.0]])
+    to_camera = SCENE.camera.world_from_camera_rotation.T
+    turn, shift = cv2.Rodrigues(to_camera)[0], -to_camera @ SCENE.camera.position_m
+    calibration = log.message("/camera/calibration")
+    by_viewers, _ = cv2.projectPoints(points_m, turn, shift, np.reshape(calibration["K"], (3, 3)), None)
+    np.testing.assert_allclose(by_viewers[:, 0] + 0.5, SCENE.camera.project(points_m)[0], atol=1e-9)
+    np.testing.assert_array_equal(np.reshape(calibration["P"], (3, 4))[:, :3].ravel(), calibration["K"])
+
+
+def test_logs_from_before_the_half_pixel_are_read_as_they_were_meant(log):
+    calibration = log.message("/camera/calibration")
+    for name, places in (("K", (2, 5)), ("P", (2, 6))):
+        for place in places:
+            calibration[name][place] += 0.5
+    del log.facts["deltasafe.scene"]["first_pixel_center"]
+    scene = log.load()
+    assert (scene.camera.cx, scene.camera.cy) == (SCENE.camera.cx, SCENE.camera.cy)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"P": [0.0] * 11 + [1.0]}, "R is not the identity, or P has an offset"),
+        ({"R": [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]}, "R is not the identity"),
+        ({"K": [700.0, 0.3, 320.0, 0.0, 700.0, 240.0, 0.0, 0.0, 1.0]}, "skew"),
+        ({"K": [700.0, 0.0, 0.0, 0.0, 700.0, 0.0, 0.0, 0.0, 1.0], "P": []}, "far from the center"),
+        ({"D": [-9.0, 0.0, 0.0, 0.0, 0.0]}, "would leave less than"),
+    ],
+)
+def test_calibrations_of_other_images_are_refused(log, change, words):
+    log.message("/camera/calibration").update(change)
+    with pytest.raises(DataError, match=words):
+        log.load()
+
+
+def test_a_distorted_log_is_undistorted_with_its_mask(log):
+    log.message("/camera/calibration")["D"] = [-0.1, 0.0, 0.0, 0.0, 0.0]
+    scene = log.load()
+    assert scene.image_path.name == "image.png"
+    assert scene.camera.fx < SCENE.camera.fx  # barrel distortion: more is seen
+    mask, true = (cv2.imread(str(one.mask_path), cv2.IMREAD_GRAYSCALE) for one in (scene, SCENE))
+    assert set(np.unique(mask)) == {0, 255}
+    assert 0.7 < (mask > 0).sum() / (true > 0).sum() < 1.1
