@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 MAX_NUMBER = 1e6
 """Largest number in pixels or meters, and inverse of the smallest focal length: others suggest wrong units."""
 
+CENTRAL = (0.1, 0.9)
+"""Where the principal point may be, as a fraction of the image's size. A moderately cropped image has it off center."""
+
 SCALARS = ("fx", "fy", "cx", "cy")
 SHAPES = {"position_m": (3,), "world_from_camera_rotation": (3, 3)}
 
@@ -68,7 +71,7 @@ class Camera:
         """Read the object ``camera`` of a ``scene.json``.
 
         Raises:
-            SettingsError: a field is missing, unknown or outside its domain.
+            SettingsError: a field is missing, unknown or outside its domain, or the principal point is near the border.
         """
         fields = [field.name for field in dataclasses.fields(cls)]
         if not isinstance(value, Mapping) or set(value) != set(fields):
@@ -77,7 +80,14 @@ class Camera:
         for name in (*SCALARS, *SHAPES):
             if not _holds_numbers(value[name], SHAPES.get(name, ())):
                 raise SettingsError(f"camera must hold numbers, in pixels and meters, got {name} {value[name]!r:.80}")
-        return cls(**{**value, **{name: float(value[name]) for name in SCALARS}})
+        camera = cls(**{**value, **{name: float(value[name]) for name in SCALARS}})
+        for name, size in (("cx", camera.width), ("cy", camera.height)):
+            if not CENTRAL[0] * size <= getattr(camera, name) <= CENTRAL[1] * size:
+                raise SettingsError(
+                    f"the principal point {name} = {getattr(camera, name):g} must be away from the border of {size} "
+                    "pixels; the intrinsics seem to be of another resolution, scale them to the image"
+                )
+        return camera
 
     def project(self, points_m: Array) -> tuple[Array, Array]:
         """Project world points (N, 3): pixel coordinates (u, v) as (N, 2), and depths (N,) along the optical axis.

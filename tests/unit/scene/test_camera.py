@@ -84,6 +84,8 @@ def test_points_behind_the_camera_have_no_pixel() -> None:
         ({"position_m": [0, 0]}, "position_m"),
         ({"world_from_camera_rotation": np.eye(3).tolist()[::-1]}, "rotation"),
         ({"extra": 1}, "extra"),
+        ({"cx": 640.0, "cy": 480.0}, "another resolution"),
+        ({"cy": 0.0}, "another resolution"),
     ],
 )
 def test_invalid_fields_are_named(changes: dict, words: str) -> None:
