@@ -14,7 +14,6 @@ from deltasafe.errors import DataError
 from deltasafe.io.images import decode_image
 
 ANY_CLASS = "*"
-MAX_AREA, MAX_BORDER = 0.5, 0.9
 _MAX_NAMED = 8
 _MIN_DITHERED = 100
 """Marked pixels; a line of one pixel width has two edges for each."""
@@ -150,10 +149,14 @@ def read_marked(path: str | pathlib.Path) -> tuple[Pixels, str]:
 
 
 def polarity_defect(mask: NDArray[np.generic]) -> str | None:
-    """Say why a mask ``(H, W)`` is probably inverted: it covers most of the image, or nearly its whole border."""
+    """Say why a mask ``(H, W)`` is probably inverted: its shares of the image and of the border add up to more than 1.
+
+    Of a mask and its inverse, one is suspected. A share of the image alone would suspect close-ups: of 142 photographs
+    of hands, two masks cover more than half, but the greatest sum is 0.91.
+    """
     marked = mask != 0
     border = np.concatenate([marked[0], marked[-1], marked[1:-1, 0], marked[1:-1, -1]])
-    if marked.mean() <= MAX_AREA and border.mean() < MAX_BORDER:
+    if marked.mean() + border.mean() <= 1:
         return None
     return f"marks {marked.mean():.0%} of the image and {border.mean():.0%} of its border: is it inverted?"
 
