@@ -8,15 +8,17 @@ from deltasafe.camera_commands import add_camera_commands
 from deltasafe.errors import DataError, DeltasafeError
 from deltasafe.hands_commands import add_hands_commands
 from deltasafe.import_command import add_import_command
+from deltasafe.scene_commands import add_scene_commands
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; return 0, or 1 with one line on standard error if an input is unusable."""
+    """Run a command; return 0, or 1 with the reason on standard error: one line, or one and a list of defects."""
     options = _parser().parse_args(arguments)
     try:
         options.run(options)
     except DeltasafeError as error:
-        print(f"deltasafe: {' '.join(str(error).split())}", file=sys.stderr)
+        reason = "\n- ".join(" ".join(part.split()) for part in str(error).split("\n- "))  # lists are kept
+        print(f"deltasafe: {reason}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:
         print(f"deltasafe: {error.name} is not installed; pip install 'deltasafe[vision]'", file=sys.stderr)
@@ -76,6 +78,7 @@ def _parser() -> argparse.ArgumentParser:
 
     add_import_command(commands)
     add_camera_commands(commands)
+    add_scene_commands(commands)
     add_hands_commands(commands)
     return parser
 

@@ -63,7 +63,8 @@ def _frames(
 ) -> list[NDArray[np.uint8]]:
     """Frames (H, W, 3) uint8: reference in gray, executed path in blue, a line of text below."""
     # the near plane of the camera's view cuts the links away: the arm passes between the camera and the table
-    near_m = float(camera.position_m[2]) - cell.table_z_m - _CUT_ABOVE_TABLE_M
+    along_axis = -float(camera.world_from_camera_rotation[2, 2])  # 1 for a camera that looks straight down
+    near_m = (float(camera.position_m[2]) - cell.table_z_m - _CUT_ABOVE_TABLE_M) * along_axis
     camera_view = Viewpoint.of_camera(camera, view_width, max(near_m, 0.01))
     oblique = Viewpoint.looking_at(np.array(_EYE_M), np.array(_TARGET_M), view_width, camera_view.height)
     count = max(2, round(seconds * _FRAMES_PER_S))

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltasafe.errors import SettingsError
 from deltasafe.execution.chain_model import ChainModel
 from deltasafe.execution.iiwa_urdf import iiwa_with_tool
 from deltasafe.execution.kinematics import ArmMount
@@ -44,6 +45,9 @@ class World:
     Args:
         cell: tool, hand and table.
         mount: of the arm.
+
+    Raises:
+        SettingsError: the hand's mesh is larger than PyBullet takes.
 
     Attributes:
         bullet, client: the module pybullet and the number of its client.
@@ -123,16 +127,22 @@ class World:
         p, client = self.bullet, self.client
         vertices, triangles = np.asarray(mesh[0], dtype=np.float64), np.asarray(mesh[1])
         geometry = {"vertices": vertices.tolist(), "indices": triangles.ravel().tolist()}
-        shape = p.createCollisionShape(
-            p.GEOM_MESH, flags=p.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=client, **geometry
-        )
-        visual = p.createVisualShape(
-            p.GEOM_MESH,
-            normals=_normals(vertices, triangles).tolist(),
-            rgbaColor=SKIN_RGBA,
-            physicsClientId=client,
-            **geometry,
-        )
+        try:
+            shape = p.createCollisionShape(
+                p.GEOM_MESH, flags=p.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=client, **geometry
+            )
+            visual = p.createVisualShape(
+                p.GEOM_MESH,
+                normals=_normals(vertices, triangles).tolist(),
+                rgbaColor=SKIN_RGBA,
+                physicsClientId=client,
+                **geometry,
+            )
+        except (SystemError, p.error) as error:
+            raise SettingsError(
+                f"PyBullet cannot hold the hand's mesh of {len(vertices)} vertices and {len(triangles)} triangles; "
+                "simplify it (for example by quadric decimation)"
+            ) from error
         hand = int(p.createMultiBody(0, shape, visual, physicsClientId=client))
         # PyBullet pads hand and tool by 1 mm each. Only the tool keeps its margin, so contacts count 1 mm early.
         p.changeDynamics(hand, -1, collisionMargin=MARGIN_M, physicsClientId=client)

@@ -122,11 +122,7 @@ def evaluate_execution(
     bound = settings.tracking
     excess = error - bound.error_m(np.maximum(speed, settings.v_min_mps))
     contacts, whole = int(execution.contacts.sum()), bool(safe[judged].all())
-    kept = None
-    if margin_m:
-        dilated = grid.dilated(settings.delta, margin_m)
-        inside = largest_p_occupied(execution, dilated, settings.body, spacing_m) > settings.delta
-        kept = float((~inside[judged]).mean())
+    kept = _margin_kept_share(execution, grid, settings, margin_m, spacing_m) if margin_m else None
     time_s, beside_hand = execution.time_s[judged], execution.beside_hand
     tool, arm = execution.tool_to_hand_m.min(), execution.arm_to_hand_m.min()
     succeeded = whole and kept in (None, 1.0) and execution.completed and contacts == 0 and bool(tool > 0)
@@ -155,6 +151,13 @@ def evaluate_execution(
         table_contacts=None if beside_hand else contacts,
         margin_kept_share=kept,
     )
+
+
+def _margin_kept_share(
+    execution: Execution, grid: OccupancyGrid, settings: MotionSettings, margin_m: float, spacing_m: float
+) -> float:
+    p_occupied = largest_p_occupied(execution, grid.dilated(settings.delta, margin_m), settings.body, spacing_m)
+    return float((p_occupied[execution.judged] <= settings.delta).mean())
 
 
 def largest_p_occupied(execution: Execution, grid: OccupancyGrid, body: ToolBody, spacing_m: float = 0.0025) -> Array:

@@ -1,6 +1,7 @@
 """The pinhole camera above the table: projection of world points, and back-projection to a known height."""
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -136,6 +137,40 @@ class Camera:
         ]
         smallest = np.linalg.svd(np.moveaxis(np.array(jacobian), 2, 0), compute_uv=False)[:, -1]
         return float(1.0 / smallest.min())
+
+    def view_on_plane(self, z_m: float, lower_m: Array, upper_m: Array) -> Array:
+        """Return what the camera sees of a rectangle in the plane z = ``z_m``: a polygon (N, 2), N = 0 if nothing.
+
+        The horizon may be in the image. A view that lies inside the rectangle has the corners of ``pixel_to_plane``.
+
+        Args:
+            z_m: a height below the camera.
+            lower_m, upper_m: (2,) corners of the rectangle.
+        """
+        below_m = float(self.position_m[2]) - z_m
+        sides = np.maximum(np.abs(lower_m - self.position_m[:2]), np.abs(upper_m - self.position_m[:2]))
+        farthest_m = 1.0 + math.hypot(below_m, *sides)  # of all points of the rectangle, hence also of their depths
+        corners = np.array([(0, 0), (self.width, 0), (self.width, self.height), (0, self.height)], dtype=np.float64)
+        x, y, z = self.world_from_camera_rotation[2]  # height of the camera's axes; a ray sinks by 1 / depth
+        sinks = np.array([-x / self.fx, -y / self.fy])
+        uv = _clip(corners, sinks, x * self.cx / self.fx + y * self.cy / self.fy - z - below_m / farthest_m)
+        polygon = self.pixel_to_plane(uv, z_m)[:, :2]
+        for axis in np.eye(2):
+            polygon = _clip(_clip(polygon, axis, -float(axis @ lower_m)), -axis, float(axis @ upper_m))
+        return polygon
+
+
+def _clip(polygon: Array, normal: Array, offset: float) -> Array:
+    """Cut a convex polygon (N, 2) to the half-plane normal @ point + offset >= 0 (Sutherland and Hodgman 1974)."""
+    kept: list[Array] = []
+    values = polygon @ normal + offset
+    for n in range(len(polygon)):
+        point, value, last, before = polygon[n], values[n], polygon[n - 1], values[n - 1]
+        if (value >= 0) != (before >= 0):
+            kept.append(last + (point - last) * (before / (before - value)))
+        if value >= 0:
+            kept.append(point)
+    return np.array(kept).reshape(-1, 2)
 
 
 def _holds_numbers(value: Any, shape: tuple[int, ...]) -> bool:

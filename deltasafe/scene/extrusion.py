@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled, kernel
 from deltasafe.errors import SettingsError
-from deltasafe.geometry import as_rows
+from deltasafe.geometry import Pose, as_rows
 from deltasafe.scene.camera import Camera
-from deltasafe.scene.occupancy import OccupancyGrid
+from deltasafe.scene.occupancy import OccupancyGrid, require_size
 from deltasafe.setting_ranges import check_range
+
+Array = NDArray[np.float64]
 
 LEVELS = 5
 """Maximum pyramid: squares with edges of 1, 2, 4, 8 and 16 pixels."""
@@ -24,14 +26,24 @@ class FieldSettings:
     Attributes:
         voxel_m: edge of a voxel; 2.5 mm are 4 to 5 pixels of a 640 x 480 camera half a meter above the table.
         depth_margin_m: the grid reaches this far above the hand, to allow for errors of the hand's height.
+        reach_m: the grid reaches at most this far beyond start and goal, horizontally. The default is the reach of an
+            arm that stands beside them; what lies farther away counts as not seen.
     """
 
     voxel_m: float = 0.0025
     depth_margin_m: float = 0.01
+    reach_m: float = 0.5
 
     def __post_init__(self) -> None:
         check_range(self, "[0.0005, 0.05]", "voxel_m")
         check_range(self, "[0, inf)", "depth_margin_m")
+        check_range(self, "[0.05, 10]", "reach_m")
+
+
+def useful_area(start: Pose, goal: Pose, reach_m: float = FieldSettings.reach_m) -> tuple[Array, Array]:
+    """Return the corners (2,) of the horizontal rectangle within ``reach_m`` of start and goal."""
+    ends = np.array([(pose.x_m, pose.y_m) for pose in (start, goal)])
+    return ends.min(axis=0) - reach_m, ends.max(axis=0) + reach_m
 
 
 def grid_from_image(
@@ -40,22 +52,26 @@ def grid_from_image(
     table_z_m: float,
     hand_height_m: float,
     settings: FieldSettings | None = None,
+    task: tuple[Pose, Pose] | None = None,
 ) -> OccupancyGrid:
     """Extrude an image of P(occupied) from the table to the height of the hand plus the depth margin.
 
     A voxel gets the largest value of the pixels in the bounding box of its projected corners, or 1 if the box exceeds
-    the image. The grid covers the part of the table that the camera sees.
+    the image. The grid covers the part of the table that the camera sees, near the task. An oblique camera, which may
+    see the horizon, needs a task.
 
     Args:
         p_occupied_image: (H, W) of the camera's size, in [0, 1].
         camera: the camera that took the image.
         table_z_m: height of the table in the world frame.
         hand_height_m: height of the hand above the table.
-        settings: resolution and margin.
+        settings: resolution, margin and reach.
+        task: start and goal; None: the grid covers all that the image shows of the table.
 
     Raises:
-        SettingsError: image and camera differ in size, a value is outside [0, 1], the camera is not above the grid, or
-            a part of the image does not show the table.
+        SettingsError: image and camera differ in size, a value is outside [0, 1], the camera is not above the grid, the
+            camera does not see the table near the task, a part of the image does not show the table (without a task),
+            or the grid would have too many voxels.
     """
     settings = settings or FieldSettings()
     image = np.ascontiguousarray(p_occupied_image, dtype=np.float32)
@@ -71,16 +87,31 @@ def grid_from_image(
     layers = math.ceil((hand_height_m + settings.depth_margin_m) / settings.voxel_m - 1e-9)
     if camera.position_m[2] <= table_z_m + layers * settings.voxel_m:
         raise SettingsError(f"the camera at z = {camera.position_m[2]} m must be above the hand and its margin")
-    corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]])
-    seen = as_rows(camera.pixel_to_plane(corners.astype(np.float64), table_z_m), 3, "what the camera sees")[:, :2]
+    seen = _seen_of_table(camera, table_z_m, settings, task)
     origin_m = np.append(np.floor(seen.min(axis=0) / settings.voxel_m) * settings.voxel_m, table_z_m)
     columns = np.ceil((seen.max(axis=0) - origin_m[:2]) / settings.voxel_m).astype(int)
     shape = int(columns[0]), int(columns[1]), layers
+    require_size(shape, settings.voxel_m)
     pyramid = _maximum_pyramid(image)
     p_occupied = _voxel_maxima(pyramid, _projection_matrix(camera), origin_m, settings.voxel_m, shape)
     unseen = p_occupied > 1.0
     p_occupied[unseen] = 1.0
     return OccupancyGrid(p_occupied, origin_m, settings.voxel_m, unseen)
+
+
+def _seen_of_table(camera: Camera, table_z_m: float, settings: FieldSettings, task: tuple[Pose, Pose] | None) -> Array:
+    """Corners (N, 2) of the part of the table that the grid covers."""
+    if task is None:
+        corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]])
+        seen_m = camera.pixel_to_plane(corners.astype(np.float64), table_z_m)
+        return as_rows(seen_m, 3, "what the camera sees; give the task, which bounds it,")[:, :2]
+    seen = camera.view_on_plane(table_z_m, *useful_area(*task, settings.reach_m))
+    if not len(seen):
+        raise SettingsError(
+            f"the camera sees no part of the table within {settings.reach_m:g} m of start and goal; check its position "
+            "(meters) and rotation, and the height of the table"
+        )
+    return seen
 
 
 def _projection_matrix(camera: Camera) -> NDArray[np.float64]:

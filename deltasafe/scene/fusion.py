@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deltasafe.errors import SettingsError
-from deltasafe.scene.occupancy import OccupancyGrid
+from deltasafe.scene.occupancy import OccupancyGrid, require_size
 
 
 def fuse_grids(grids: Sequence[OccupancyGrid]) -> OccupancyGrid:
@@ -18,7 +18,8 @@ def fuse_grids(grids: Sequence[OccupancyGrid]) -> OccupancyGrid:
     The result covers the area of all grids, up to the lowest upper face: above that face, one of the grids is free.
 
     Raises:
-        SettingsError: no grid, or grids whose voxels do not coincide or whose tables differ in height.
+        SettingsError: no grid, grids whose voxels do not coincide or whose tables differ in height, or so far apart
+            that the result would have too many voxels.
     """
     if not grids:
         raise SettingsError("there is no grid to fuse")
@@ -36,6 +37,7 @@ def fuse_grids(grids: Sequence[OccupancyGrid]) -> OccupancyGrid:
     lower = np.min(offsets, axis=0)
     upper = np.max([steps + grid.p_occupied.shape for steps, grid in zip(offsets, grids, strict=True)], axis=0)
     layers = min(grid.p_occupied.shape[2] for grid in grids)
+    require_size((*(upper - lower)[:2], layers), first.voxel_m)
     fused = np.ones((*(upper - lower)[:2], layers), np.float32)
     for steps, grid in zip(offsets, grids, strict=True):
         (i, j), (nx, ny) = (steps - lower)[:2], grid.p_occupied.shape[:2]

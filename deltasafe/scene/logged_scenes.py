@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,12 +14,16 @@ from deltasafe.geometry import Pose
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import read_json
 from deltasafe.scene.camera import Camera
+from deltasafe.scene.extrusion import FieldSettings, useful_area
 
 Mesh: TypeAlias = tuple[NDArray[np.float32], NDArray[np.int32]]
 
 MAX_NAME_LENGTH = 100
 MAX_DISTANCE_M = 10.0
 """Largest coordinate in a scene: larger ones suggest another unit than meters."""
+
+MAX_VERTICES, MAX_TRIANGLES = 131_072, 174_762
+"""Largest mesh that PyBullet takes on Linux, 524,288 corners of triangles; its build for macOS takes less."""
 
 MAX_NUMBER = 1e6
 """Largest number in a scene: JSON integers may be too large for a float."""
@@ -57,34 +61,13 @@ class LoggedScene:
         """Read and check ``scene.json`` and the files that it names.
 
         Raises:
-            DataError: a file is missing, or a field is missing or outside its domain; names file and field.
+            DataError: lists the files that are missing, and the fields that are missing or outside their domain.
         """
-        folder = pathlib.Path(folder)
-        path = folder / "scene.json"
-        record = read_json(path)
-        try:
-            camera = Camera.from_json(_member(path, record, "camera"))
-        except SettingsError as error:
-            raise DataError(path, f"field camera: {error}") from error
-        table_z_m, hand_height_m = _number(path, record, "table_z_m"), _number(path, record, "hand_height_m")
-        if hand_height_m <= 0:
-            raise DataError(path, f"field hand_height_m must be positive, got {hand_height_m}")
-        _check_view(path, camera, table_z_m, hand_height_m)
-        scene_id = _member(path, record, "id")
-        if not isinstance(scene_id, str) or pathlib.PurePath(scene_id).name != scene_id or not _is_name(scene_id):
-            raise DataError(path, f"field id must be a name without slashes, got {scene_id!r:.80}")
-        scene = cls(
-            id=scene_id,
-            image_path=_file(path, record, "image"),
-            camera=camera,
-            table_z_m=table_z_m,
-            hand_height_m=hand_height_m,
-            start=_pose(path, record, "start", table_z_m),
-            goal=_pose(path, record, "goal", table_z_m),
-            **_truth(path, record),
-        )
-        scene.mesh_if_known()
-        return scene
+        path = pathlib.Path(folder) / "scene.json"
+        values, defects = check_scene(path, read_json(path))
+        if defects:
+            raise DataError.combined(folder, defects)
+        return cls(**values)
 
     def mesh_if_known(self) -> Mesh | None:
         """Read the true mesh as ``true_mesh`` does; None if the scene has none."""
@@ -102,22 +85,7 @@ class LoggedScene:
                 "names no true mesh (ground_truth.mesh), without which contacts cannot be judged; add it, or leave "
                 "this scene out",
             )
-        try:
-            arrays = read_npz(self.mesh_path)
-            vertices_m, triangles = arrays["vertices_m"], arrays["triangles"]
-        except KeyError as error:
-            raise DataError(self.mesh_path, f"is not a mesh (it lacks {error}); export it again") from error
-        if vertices_m.ndim != 2 or vertices_m.shape[1] != 3 or vertices_m.dtype.kind not in "fiu":
-            raise DataError(
-                self.mesh_path, f"vertices_m must be finite (V, 3), got {vertices_m.dtype} {vertices_m.shape}"
-            )
-        if not np.isfinite(vertices_m).all() or np.abs(vertices_m).max(initial=0.0) > MAX_DISTANCE_M:
-            raise DataError(self.mesh_path, f"vertices_m must be finite, in meters, and within {MAX_DISTANCE_M:g} m")
-        if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-            raise DataError(self.mesh_path, f"triangles must be integers (F, 3), got shape {triangles.shape}")
-        if triangles.size == 0 or triangles.min() < 0 or triangles.max() >= len(vertices_m):
-            raise DataError(self.mesh_path, f"triangles must index the {len(vertices_m)} vertices")
-        return vertices_m.astype(np.float32), triangles.astype(np.int32)
+        return _read_mesh(self.mesh_path)
 
 
 def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
@@ -144,13 +112,96 @@ def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
     return tuple(scenes)
 
 
+def check_scene(path: pathlib.Path, record: Any) -> tuple[dict[str, Any], list[DataError]]:
+    """Check the content of a ``scene.json``; return the attributes of a `LoggedScene` and all defects.
+
+    Args:
+        path: of the file; the files that it names are beside it.
+        record: its content. A defective field has the value None.
+    """
+    defects: list[DataError] = []
+
+    def attempt(read: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return read(path, *arguments)
+        except DataError as error:
+            defects.append(error)
+            return None
+
+    if not isinstance(record, Mapping):
+        return {}, [DataError(path, "must hold one object with named fields (docs/reference/formats.md); restore it")]
+    values = {
+        "id": attempt(_id, record),
+        "image_path": attempt(_file, record, "image"),
+        "camera": attempt(_camera, record),
+        "table_z_m": attempt(_number, record, "table_z_m"),
+        "hand_height_m": attempt(_hand_height_m, record),
+    }
+    for name in ("start", "goal"):
+        values[name] = attempt(_pose, record, name, values["table_z_m"])
+    truth = attempt(_truth_of, record) or {}
+    values |= {f"{name}_path": attempt(_file, truth, name) for name in truth}
+    if all(values[name] is not None for name in ("camera", "table_z_m", "hand_height_m", "start", "goal")):
+        attempt(_check_view, *(values[name] for name in ("camera", "table_z_m", "hand_height_m", "start", "goal")))
+    if values.get("mesh_path") is not None:
+        attempt(lambda _: _read_mesh(values["mesh_path"]))
+    return values, defects
+
+
+def _read_mesh(path: pathlib.Path) -> Mesh:
+    """Read vertices_m (V, 3) float32 and triangles (F, 3) int32."""
+    try:
+        arrays = read_npz(path)
+        vertices_m, triangles = arrays["vertices_m"], arrays["triangles"]
+    except KeyError as error:
+        raise DataError(path, f"is not a mesh (it lacks {error}); export it again") from error
+    if vertices_m.ndim != 2 or vertices_m.shape[1] != 3 or vertices_m.dtype.kind not in "fiu":
+        raise DataError(path, f"vertices_m must be finite (V, 3), got {vertices_m.dtype} {vertices_m.shape}")
+    if not np.isfinite(vertices_m).all() or np.abs(vertices_m).max(initial=0.0) > MAX_DISTANCE_M:
+        raise DataError(path, f"vertices_m must be finite, in meters, and within {MAX_DISTANCE_M:g} m")
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        raise DataError(path, f"triangles must be integers (F, 3), got shape {triangles.shape}")
+    if triangles.size == 0 or triangles.min() < 0 or triangles.max() >= len(vertices_m):
+        raise DataError(path, f"triangles must index the {len(vertices_m)} vertices")
+    if len(vertices_m) > MAX_VERTICES or len(triangles) > MAX_TRIANGLES:
+        raise DataError(
+            path,
+            f"has {len(vertices_m)} vertices and {len(triangles)} triangles, the simulation takes at most "
+            f"{MAX_VERTICES} and {MAX_TRIANGLES}; simplify it (for example by quadric decimation)",
+        )
+    return vertices_m.astype(np.float32), triangles.astype(np.int32)
+
+
 def _member(path: pathlib.Path, record: Any, name: str) -> Any:
     if not isinstance(record, Mapping) or name not in record:
         raise DataError(path, f"field {name} is missing; add it (docs/reference/formats.md)")
     return record[name]
 
 
-def _check_view(path: pathlib.Path, camera: Camera, table_z_m: float, hand_height_m: float) -> None:
+def _id(path: pathlib.Path, record: Any) -> str:
+    value = _member(path, record, "id")
+    if not isinstance(value, str) or pathlib.PurePath(value).name != value or not _is_name(value):
+        raise DataError(path, f"field id must be a name without slashes, got {value!r:.80}")
+    return value
+
+
+def _camera(path: pathlib.Path, record: Any) -> Camera:
+    try:
+        return Camera.from_json(_member(path, record, "camera"))
+    except SettingsError as error:
+        raise DataError(path, f"field camera: {error}") from error
+
+
+def _hand_height_m(path: pathlib.Path, record: Any) -> float:
+    value = _number(path, record, "hand_height_m")
+    if value <= 0:
+        raise DataError(path, f"field hand_height_m must be positive, got {value}")
+    return value
+
+
+def _check_view(
+    path: pathlib.Path, camera: Camera, table_z_m: float, hand_height_m: float, start: Pose, goal: Pose
+) -> None:
     """Refuse a camera that sees the scene implausibly: its units or axes probably follow another convention."""
     above_m = float(camera.position_m[2]) - table_z_m
     if not 0 < above_m <= MAX_DISTANCE_M or np.abs(camera.position_m).max() > MAX_DISTANCE_M:
@@ -163,14 +214,13 @@ def _check_view(path: pathlib.Path, camera: Camera, table_z_m: float, hand_heigh
         raise DataError(
             path, f"field hand_height_m must be less than the camera's height {above_m:g} m, got {hand_height_m}"
         )
-    corners = np.array([(u, v) for u in (0, camera.width) for v in (0, camera.height)], dtype=np.float64)
-    try:
-        seen_m = camera.pixel_to_plane(corners, table_z_m)
-    except SettingsError as error:
-        raise DataError(path, f"field camera: {error}") from error
-    if np.abs(seen_m).max() > MAX_DISTANCE_M:
+    if not len(camera.view_on_plane(table_z_m, *useful_area(start, goal))):
         raise DataError(
-            path, f"field camera must see at most {MAX_DISTANCE_M:g} m far, but sees {np.abs(seen_m).max():.3g} m"
+            path,
+            f"field camera must see the table within {FieldSettings.reach_m:g} m of start and goal, but it is at "
+            f"{np.round(camera.position_m, 3).tolist()} and looks along "
+            f"{np.round(camera.world_from_camera_rotation[:, 2], 3).tolist()}; check units (meters) and axes "
+            "(columns of the rotation: x right, y down, z forward), or start and goal",
         )
 
 
@@ -188,8 +238,8 @@ def _finite(path: pathlib.Path, name: str, value: Any) -> float:
     return float(value)
 
 
-def _truth(path: pathlib.Path, record: Mapping[str, Any]) -> dict[str, pathlib.Path]:
-    """Paths of the true mask and mesh, as far as ``ground_truth`` names them."""
+def _truth_of(path: pathlib.Path, record: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What ``ground_truth`` names; empty if it is left out."""
     if "ground_truth" not in record:
         return {}
     truth = record["ground_truth"]
@@ -199,7 +249,7 @@ def _truth(path: pathlib.Path, record: Mapping[str, Any]) -> dict[str, pathlib.P
             path,
             f"field ground_truth must name mask, mesh or both, got {truth!r:.80}; leave it out if they are unknown",
         )
-    return {f"{name}_path": _file(path, truth, name) for name in truth}
+    return truth
 
 
 def _only(path: pathlib.Path, name: str, value: Any, fields: set[str]) -> None:
@@ -209,7 +259,7 @@ def _only(path: pathlib.Path, name: str, value: Any, fields: set[str]) -> None:
         raise DataError(path, f"field {name} may hold {sorted(fields)}, in the world frame, got {unknown}; remove them")
 
 
-def _pose(path: pathlib.Path, record: Any, name: str, table_z_m: float) -> Pose:
+def _pose(path: pathlib.Path, record: Any, name: str, table_z_m: float | None) -> Pose:
     value = _member(path, record, name)
     position = _member(path, value, "position_m")
     _only(path, name, value, {"position_m", "yaw_rad"})
@@ -217,7 +267,8 @@ def _pose(path: pathlib.Path, record: Any, name: str, table_z_m: float) -> Pose:
         raise DataError(path, f"field {name}.position_m must hold x, y, z, got {position!r}")
     x_m, y_m, z_m = (_finite(path, f"{name}.position_m", coordinate) for coordinate in position)
     yaw_rad = _number(path, value, "yaw_rad")
-    if max(abs(x_m), abs(y_m), abs(z_m)) > MAX_DISTANCE_M or not z_m > table_z_m or abs(yaw_rad) > 2 * math.pi:
+    is_above = table_z_m is None or z_m > table_z_m
+    if max(abs(x_m), abs(y_m), abs(z_m)) > MAX_DISTANCE_M or not is_above or abs(yaw_rad) > 2 * math.pi:
         raise DataError(
             path,
             f"field {name} must lie above the table, within {MAX_DISTANCE_M:g} m, with a yaw of at most 2 pi, "

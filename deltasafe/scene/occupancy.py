@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import pathlib
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,27 @@ from deltasafe.geometry import as_rows
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.storage import atomic_file
 
+MAX_VOXELS = 25_000_000
+"""Largest grid that this package makes. A motion in it needs about 25 bytes a voxel, 0.6 GB."""
+
 MIN_VOXEL_M = 1e-5
 """Smallest edge of a voxel: its inverse, which look-ups multiply by, must not overflow."""
+
+
+def require_size(shape: Sequence[int], voxel_m: float) -> None:
+    """Check the number of voxels of a grid before it is allocated.
+
+    Raises:
+        SettingsError: more than ``MAX_VOXELS``; names the voxel size that would do.
+    """
+    count = math.prod(int(length) for length in shape)
+    if count > MAX_VOXELS:
+        extent_m = " x ".join(f"{int(length) * voxel_m:.3g}" for length in shape)
+        enough_m = 1.1 * voxel_m * (count / MAX_VOXELS) ** (1 / 3)  # 10 % for the rounding
+        raise SettingsError(
+            f"a grid of {extent_m} m with voxels of {voxel_m:g} m has {count:.3g} voxels, more than {MAX_VOXELS:.3g}; "
+            f"set voxel_m to {enough_m:.2g} m or more, or choose a smaller area"
+        )
 
 
 @dataclasses.dataclass(frozen=True)

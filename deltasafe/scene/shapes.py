@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import as_rows
-from deltasafe.scene.occupancy import MIN_VOXEL_M, OccupancyGrid
+from deltasafe.scene.occupancy import MIN_VOXEL_M, OccupancyGrid, require_size
 from deltasafe.setting_ranges import check_range
 
 Array = NDArray[np.float64]
@@ -100,7 +100,8 @@ def grid_from_shapes(
     """Rasterize shapes between two corners; each voxel holds an upper bound of P(occupied) over its points.
 
     Raises:
-        SettingsError: the corners do not span a box, or ``decay_m`` or ``voxel_m`` is outside its domain.
+        SettingsError: the corners do not span a box, ``decay_m`` or ``voxel_m`` is outside its domain, or there would
+            be too many voxels.
     """
     lower, upper = as_rows((lower_m, upper_m), 3, "the corners of the grid")
     if not (upper > lower).all() or not MIN_VOXEL_M <= voxel_m < math.inf:
@@ -109,6 +110,7 @@ def grid_from_shapes(
         )
     _check_decay(decay_m)
     counts = np.ceil((upper - lower) / voxel_m - 1e-9).astype(int)
+    require_size(counts, voxel_m)
     slack_m = voxel_m * math.sqrt(3) / 2
     p_free = np.ones(counts)
     for shape in shapes:  # a shape affects only the voxels within its reach

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.conformal_margin import ConformalMargin
@@ -12,6 +13,9 @@ from deltasafe.scene import Camera, OccupancyGrid
 
 _SAMPLES = 33
 """Points along each edge of the grid at which the ground sampling distance is evaluated, borders included."""
+
+_BORDER = 0.05
+"""Fraction of the image by which a point may lie outside of it: the grid is at most a voxel larger than the view."""
 
 
 def require_supported_alpha(delta: float, alpha: float, calibration: Calibration) -> ConformalMargin | None:
@@ -51,4 +55,16 @@ def motion_margin_m(calibration: Calibration, settings: MotionSettings, camera: 
         return 0.0
     x, y = np.linspace(grid.origin_m, grid.upper_m, _SAMPLES).T[:2]
     table = np.stack([*np.meshgrid(x, y), np.full((_SAMPLES, _SAMPLES), grid.origin_m[2])], axis=-1).reshape(-1, 3)
-    return margin.fraction_of_width * camera.width * camera.ground_sampling_distance_m(table)
+    return margin.fraction_of_width * camera.width * camera.ground_sampling_distance_m(_seen(camera, table))
+
+
+def _seen(camera: Camera, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (N, 3) of the table that the camera sees; an oblique one sees a part of the grid, the rest is occupied."""
+    uv, _ = camera.project(points_m)
+    size = np.array([camera.width, camera.height])
+    seen = points_m[((uv > -_BORDER * size) & (uv < (1 + _BORDER) * size)).all(axis=1)]  # false for NaN
+    if len(seen):
+        return np.asarray(seen)
+    lower_m, upper_m = points_m.min(axis=0), points_m.max(axis=0)
+    corners = camera.view_on_plane(float(lower_m[2]), lower_m[:2], upper_m[:2])
+    return np.column_stack([corners, np.full(len(corners), lower_m[2])])

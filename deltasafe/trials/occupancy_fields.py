@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.errors import DataError
+from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.perception.data.masks import read_mask
@@ -29,6 +29,7 @@ def write_fields(
 
     Raises:
         DataError: an image is unreadable or not of its camera's size.
+        SettingsError: a grid would have too many voxels.
     """
     with atomic_folder(folder) as temporary:
         for done, scene in enumerate(scenes, start=1):
@@ -36,7 +37,11 @@ def write_fields(
             p_occupied = ensemble.p_occupied(rgb)
             (temporary / scene.id).mkdir()
             np.save(temporary / scene.id / "p_occupied.npy", p_occupied, allow_pickle=False)
-            grid = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, settings)
+            task = scene.start, scene.goal
+            try:
+                grid = grid_from_image(p_occupied, scene.camera, scene.table_z_m, scene.hand_height_m, settings, task)
+            except SettingsError as error:
+                raise SettingsError(f"scene {scene.id}: {error}") from error
             grid.save(temporary / scene.id / "grid.npz")
             write_json(temporary / scene.id / "seen.json", ImageStamp.of(rgb))
             progress(done, len(scenes), f"predicted {scene.id}")

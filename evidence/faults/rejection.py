@@ -179,8 +179,9 @@ def _check_command(case: Case, command: list[str], culprit: str | None) -> list[
                 os.close(copy)
         captured.seek(0)
         lines = captured.read().decode(errors="replace").splitlines()
-    if status == 0 or len(lines) != 1 or not lines[0].startswith("deltasafe: "):
+    is_list = all(line.startswith("- ") for line in lines[1:])  # of all defects
+    if status == 0 or not lines or not lines[0].startswith("deltasafe: ") or not is_list:
         return [Failure("untyped", f"{case}: the command exited with {status} and printed {lines}")]
-    if culprit is not None and culprit not in lines[0]:
-        return [Failure("unnamed", f"{case}: the command does not name {culprit}: {lines[0]}")]
+    if culprit is not None and not any(culprit in line for line in lines):
+        return [Failure("unnamed", f"{case}: the command does not name {culprit}: {lines}")]
     return []

@@ -112,6 +112,13 @@ def test_viewpoint_projects_like_the_camera():
     np.testing.assert_allclose(pixels, expected, atol=1e-6)
 
 
+def test_a_mesh_that_is_larger_than_pybullet_takes_is_refused():
+    """B12: it raised SystemError."""
+    mesh = np.eye(3) / 10, np.tile([[0, 1, 2]], (174_763, 1))
+    with pytest.raises(SettingsError, match="174763 triangles; simplify it"):
+        IiwaArm(Workcell(BODY, mesh))
+
+
 def test_friction_is_validated():
     with pytest.raises(SettingsError, match="coulomb_nm"):
         JointFriction(coulomb_nm=(1.0,))

@@ -105,6 +105,52 @@ def test_invalid_mesh_is_refused(tmp_path: pathlib.Path, triangles: list) -> Non
         LoggedScene.load(folder)
 
 
+def test_all_defects_are_listed_together(tmp_path: pathlib.Path) -> None:
+    folder = write(tmp_path / "scene_000", hand_height_m=-1, start={"position_m": [0, 0]}, image="lost.jpg")
+    np.savez(folder / "hand_mesh.npz", vertices_m=np.eye(3), triangles=np.array([[0, 1, 3]]))
+    with pytest.raises(DataError, match="has 4 defects") as caught:
+        LoggedScene.load(folder)
+    for words in ("hand_height_m", "start.position_m", "lost.jpg", "hand_mesh.npz: triangles"):
+        assert words in str(caught.value)
+
+
+def test_mesh_that_the_simulation_cannot_hold_is_refused(tmp_path: pathlib.Path) -> None:
+    """B12: PyBullet takes 524,288 corners of triangles."""
+    folder = write(tmp_path / "scene_000")
+    triangles = np.tile(np.array([[0, 1, 2]], np.int32), (174_763, 1))
+    np.savez(folder / "hand_mesh.npz", vertices_m=np.eye(3), triangles=triangles)
+    with pytest.raises(DataError, match=r"174763 triangles.*simplify it"):
+        LoggedScene.load(folder)
+
+
+def turned(tilt: float) -> dict:
+    """A camera above (0, -1.5), tilted toward +y."""
+    cos, sin = float(np.cos(tilt)), float(np.sin(tilt))
+    return {
+        **{
+            "width": 640,
+            "height": 480,
+            "fx": 768.0,
+            "fy": 768.0,
+            "cx": 320.0,
+            "cy": 240.0,
+            "position_m": [0, -1.5, 0.8],
+        },
+        "world_from_camera_rotation": [[1, 0, 0], [0, -cos, sin], [0, -sin, -cos]],
+    }
+
+
+def test_camera_that_sees_the_horizon_is_accepted(tmp_path: pathlib.Path) -> None:
+    scene = LoggedScene.load(write(tmp_path / "scene_000", camera=turned(1.35)))
+    assert scene.camera.project(np.array([[0.0, 1e6, 0.0]]))[0][0, 1] > 0  # the horizon is in the image
+
+
+@pytest.mark.parametrize("tilt", [-1.1, 2.5])
+def test_camera_that_looks_away_from_the_task_is_refused(tmp_path: pathlib.Path, tilt: float) -> None:
+    with pytest.raises(DataError, match=r"must see the table within 0\.5 m of start and goal"):
+        LoggedScene.load(write(tmp_path / "scene_000", camera=turned(tilt)))
+
+
 def test_scenes_are_sorted_and_ids_are_unique(tmp_path: pathlib.Path) -> None:
     for name in ("b", "a"):
         write(tmp_path / name)

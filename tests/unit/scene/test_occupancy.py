@@ -1,21 +1,27 @@
 """Occupancy grids: look-ups, storage, and grids made from images and shapes."""
 
+import dataclasses
 import pathlib
+import re
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.geometry import Pose
 from deltasafe.scene import (
     Camera,
     Cuboid,
     FieldSettings,
     OccupancyGrid,
     Sphere,
+    fuse_grids,
     grid_from_image,
     grid_from_shapes,
     p_occupied_near,
 )
+from deltasafe.scene.occupancy import MAX_VOXELS
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 
@@ -137,6 +143,66 @@ def test_extruded_disc_is_a_cone_of_at_most_one_voxel_more() -> None:
     assert inside[off_m < cone_m - 0.004].all()
     # the cone is exceeded by at most the bounding box of a voxel's projection
     assert not inside[seen & (off_m > cone_m + 0.016)].any()
+
+
+TASK = (Pose(-0.1, 0.0, 0.03), Pose(0.1, 0.05, 0.03))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.4])
+def test_grid_near_a_task_equals_the_whole_grid_where_it_is_and_is_occupied_elsewhere(tilt: float) -> None:
+    image = np.random.default_rng(2).random((120, 160)).astype(np.float32) * 0.9
+    whole = grid_from_image(image, camera(tilt), 0.0, 0.05, FieldSettings(0.005))
+    near = grid_from_image(image, camera(tilt), 0.0, 0.05, FieldSettings(0.005, reach_m=0.06), TASK)
+    assert near.p_occupied.size < whole.p_occupied.size
+    points = np.random.default_rng(3).uniform(whole.origin_m, whole.upper_m, (20000, 3))
+    ends = np.array([[-0.1, 0.0], [0.1, 0.05]])
+    away = np.maximum(np.maximum(ends.min(axis=0) - points[:, :2], points[:, :2] - ends.max(axis=0)), 0).max(axis=1)
+    inside, outside = away < 0.06, away > 0.06 + 2 * 0.005
+    # the voxels of both grids may be shifted against each other, by less than one
+    settings = FieldSettings(0.005)
+    large = grid_from_image(image, camera(tilt), 0.0, 0.05, settings, TASK)
+    assert (large.p_occupied == whole.p_occupied).all()
+    assert (near.at(points[outside]) == 1).all()
+    uv, _ = camera(tilt).project(points)
+    seen = inside & ((uv > 0) & (uv < (160, 120))).all(axis=1)
+    columns, rows = np.floor(uv[seen]).astype(int).T
+    assert seen.sum() > 1000
+    assert (near.at(points[seen]) >= image[rows, columns]).all()
+    assert (near.at(points[seen]) < 1).mean() > 0.5
+
+
+@pytest.mark.parametrize("tilt_deg", [62, 67, 80, 85])
+def test_oblique_camera_gets_a_bounded_grid(tilt_deg: float) -> None:
+    """B14: the horizon is near or in the image. Only what is seen within reach of the task is in the grid."""
+    tilt = np.radians(tilt_deg)
+    view = dataclasses.replace(camera(tilt), position_m=np.array([0.0, -0.5 * np.tan(min(tilt, 1.2)), 0.5]))
+    free = np.zeros((120, 160), np.float32)
+    grid = grid_from_image(free, view, 0.0, 0.05, FieldSettings(0.01), TASK)
+    extent_m = (grid.upper_m - grid.origin_m)[:2]
+    assert (extent_m <= [1.2 + 0.02, 1.05 + 0.02]).all()
+    index = np.argwhere(grid.p_occupied == 0)
+    assert len(index)
+    uv, _ = view.project(grid.origin_m + (index + 0.5) * grid.voxel_m)
+    assert ((uv > 0) & (uv < (160, 120))).all()  # what is not seen stays occupied
+    with pytest.raises(SettingsError, match=r"whole image must show the table|voxels|within 1000"):
+        grid_from_image(free, view, 0.0, 0.05, FieldSettings(0.0005))
+
+
+def test_too_many_voxels_are_refused_before_they_are_allocated() -> None:
+    free = np.zeros((120, 160), np.float32)
+    tracemalloc.start()
+    with pytest.raises(SettingsError, match=r"set voxel_m to ([\d.]+) m") as refused:
+        grid_from_image(free, camera(), 0.0, 0.4, FieldSettings(0.0005), TASK)
+    with pytest.raises(SettingsError, match="voxels"):
+        grid_from_shapes([Sphere((0, 0, 0), 0.1)], 0.01, (-5, -5, 0), (5, 5, 3), 0.001)
+    small = OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 0.01)
+    with pytest.raises(SettingsError, match="voxels"):
+        fuse_grids([small, dataclasses.replace(small, origin_m=np.array([900.0, 900.0, 0.0]))])
+    assert tracemalloc.get_traced_memory()[1] < 5e6
+    tracemalloc.stop()
+    enough_m = float(re.search(r"set voxel_m to ([\d.]+) m", str(refused.value)).group(1))
+    shape = np.ceil(np.array([0.44, 0.34, 0.42]) / enough_m)
+    assert shape.prod() <= MAX_VOXELS
 
 
 def test_image_of_another_size_is_refused() -> None:

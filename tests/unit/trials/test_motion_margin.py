@@ -47,6 +47,18 @@ def test_margin_of_a_camera_facing_down_equals_closed_form() -> None:
     assert motion_margin_m(calibration(0.05), MotionSettings(motion_alpha=0.0), camera(), grid) == 0.0
 
 
+def test_margin_of_an_oblique_camera_is_that_of_the_farthest_table_it_sees_near_the_task() -> None:
+    """Along its axis, a pixel covers depth^2 / (height f) of the table."""
+    oblique = dataclasses.replace(camera(1.2), position_m=np.array([0.0, -1.2, 0.5]))
+    task = (Pose(-0.1, 0.0, 0.03), Pose(0.1, 0.0, 0.03))
+    settings = FieldSettings(voxel_m=0.01)
+    grid = grid_from_image(np.zeros((240, 320), np.float32), oblique, 0.0, 0.05, settings, task)
+    margin_m = motion_margin_m(calibration(0.05), MotionSettings(motion_alpha=ALPHA), oblique, grid)
+    farthest = np.array([[0.0, 0.5, 0.0]])
+    _, depth_m = oblique.project(farthest)
+    assert margin_m == pytest.approx(16 * float(depth_m[0]) ** 2 / (0.5 * 384), rel=0.1)
+
+
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.35])
 def test_a_hand_that_exceeds_the_unsafe_set_by_the_margin_lies_in_the_dilated_grid(tilt_rad: float) -> None:
     """The score of an image is its margin in pixels; the extruded hand must then lie in the dilated extrusion."""
