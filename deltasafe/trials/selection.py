@@ -9,6 +9,8 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_folder, read_json, sha256_of_file, write_json
 from deltasafe.scene import LoggedScene, load_scenes
 
+SCENE = "scene.json"
+
 
 def select_scenes(source: pathlib.Path, n_scenes: int, folder: pathlib.Path) -> tuple[LoggedScene, ...]:
     """Check the scenes below ``source`` and write at most ``n_scenes`` (0: all) to ``folder``.
@@ -55,7 +57,8 @@ def _write(scenes: Sequence[LoggedScene], folder: pathlib.Path) -> None:
         for scene in scenes:
             place = scene.image_path.parent
             shutil.copytree(place, temporary / place.name, copy_function=_link, ignore=shutil.ignore_patterns(".*"))
-            record.append({"folder": place.name, "image_sha256": sha256_of_file(scene.image_path)})
+            digests = {"image_sha256": sha256_of_file(scene.image_path), "scene_sha256": sha256_of_file(place / SCENE)}
+            record.append({"folder": place.name, **digests})
         write_json(temporary / "scenes.json", record)
 
 
@@ -70,12 +73,13 @@ def load_selection(folder: pathlib.Path) -> tuple[LoggedScene, ...]:
     """Load the scenes that `select_scenes` or `select_scene` wrote.
 
     Raises:
-        DataError: a scene is missing, or its image was replaced.
+        DataError: a scene is missing, or its image or scene.json was replaced.
     """
     scenes = []
     for entry in read_json(folder / "scenes.json"):
         scene = LoggedScene.load(folder / entry["folder"])
-        if sha256_of_file(scene.image_path) != entry["image_sha256"]:
-            raise DataError(scene.image_path, "was replaced since the scenes were selected; select them again")
+        for path, name in ((scene.image_path, "image_sha256"), (folder / entry["folder"] / SCENE, "scene_sha256")):
+            if name in entry and sha256_of_file(path) != entry[name]:  # earlier versions lack scene_sha256
+                raise DataError(path, "was replaced since the scenes were selected; select them again")
         scenes.append(scene)
     return tuple(scenes)

@@ -118,6 +118,7 @@ def _meshes() -> dict[str, Change]:
         "vertices in two dimensions": with_array("vertices_m", np.zeros((2000, 2), np.float32)),
         "complex vertices": with_array("vertices_m", np.zeros((2000, 3), np.complex64)),
         "no triangles": with_array("triangles", triangle[:0]),
+        "more triangles than the simulation takes": with_array("triangles", np.tile(triangle, (174_763, 1))),
         "triangles as floats": with_array("triangles", triangle.astype(np.float32)),
         "triangles with four corners": with_array("triangles", np.zeros((1, 4), np.int32)),
         "a triangle with a missing vertex": with_array("triangles", triangle + 10**7),

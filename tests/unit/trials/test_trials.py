@@ -193,7 +193,24 @@ def test_a_replaced_image_is_refused(chain, tmp_path):
     select_scenes(source, 1, tmp_path / "selection")
     assert [scene.id for scene in load_selection(tmp_path / "selection")] == ["scene_001"]
     shutil.copy(SCENES / "scene_002" / "image.jpg", source / "scene_001" / "image.jpg")
-    with pytest.raises(DataError, match="was replaced"):
+    with pytest.raises(DataError, match=r"image\.jpg: was replaced"):
+        load_selection(tmp_path / "selection")
+
+
+def test_another_task_is_another_selection(tmp_path):
+    """The digests of scenes.json are the data version of the asset: a new goal must make its results stale."""
+    source, versions = tmp_path / "scenes", []
+    shutil.copytree(SCENES / "scene_001", source / "scene_001")
+    path = source / "scene_001" / "scene.json"
+    for x_m in (0.1, 0.12):
+        record = json.loads(path.read_text())
+        record["goal"]["position_m"][0] = x_m
+        path.write_text(json.dumps(record))
+        select_scenes(source, 1, tmp_path / "selection")
+        versions.append((tmp_path / "selection" / "scenes.json").read_bytes())
+    assert versions[0] != versions[1]
+    path.write_text(path.read_text() + " ")  # the selection holds a hard link to it
+    with pytest.raises(DataError, match=r"scene\.json: was replaced"):
         load_selection(tmp_path / "selection")
 
 
