@@ -16,7 +16,7 @@ from deltasafe.errors import DeltasafeError
 
 REMEDY = re.compile(
     r"\b(must|needs|restore|remove|rename|convert|save|give|pull|freeze|train|export|execute|plan|make|write|copy"
-    r"|label|store|are allowed|put|add|use|free|install|choose|calibrate|rectify)\b"
+    r"|label|store|are allowed|put|add|use|free|install|choose|calibrate|rectify|simplify)\b"
 )
 """A message with a remedy contains an imperative, or says what the value must be."""
 
