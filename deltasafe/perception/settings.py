@@ -175,6 +175,7 @@ class PromotionSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_range(self, "[0, inf)", "seed")
         check_range(self, "[0, inf)", "nll_margin", "brier_margin", "miou_margin")
         check_range(self, "(0.5, 1)", "level")
         check_range(self, "[100, inf)", "n_bootstrap")  # fewer give no 95 % bound

@@ -59,7 +59,8 @@ class CalibrationSettings:
         check_range(self, "(0, 1)", "planning_delta", "missed_hand_alpha")
         check_range(self, "[100, inf)", "n_bootstrap")  # fewer give no 95 % bound
         check_range(self, "(0.5, 1)", "level")
-        if self.n_folds < 0 or self.n_folds == 1:
+        check_range(self, "[0, inf)", "n_folds", "seed")
+        if self.n_folds == 1:
             raise SettingsError(f"n_folds must be 0 (leave one out) or at least 2, got {self.n_folds}")
 
     def for_images(self, n_images: int) -> "CalibrationSettings":

@@ -80,6 +80,7 @@ class StudySettings:
         check_range(self, "[1, inf)", "sizes")
         if list(self.sizes) != sorted(set(self.sizes)):
             raise SettingsError(f"sizes must be ascending, got {self.sizes}")
+        check_range(self, "[1, inf)", "n_members_most", "n_members")
         check_range(self, f"[1, {self.n_members_most}]", "n_members")
         check_range(self, f"[1, {self.n_members}]", "n_members_ablation")
         check_range(self, "[0, inf)", "first_seed", "comparison_width", "comparison_epochs")

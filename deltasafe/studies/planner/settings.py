@@ -39,6 +39,7 @@ class SearchSettings:
 
     def __post_init__(self) -> None:
         check_range(self, "[1, inf)", "n_iterations", "n_samples")
+        check_range(self, "[0, inf)", "first_seed")
         check_range(self, "(0, 0.5)", "delta")
         check_range(self, "(0, inf)", "delta_p_m", "voxel_m", "rotation_weight_m2", "steering_range_m", "near_factor")
 
@@ -104,5 +105,6 @@ class TimingSettings(SearchSettings):
         super().__post_init__()
         check_range(self, "[1, inf)", "counts", "n_runs", "few_samples")
         check_range(self, "(0, inf)", "level_m", "radius_m")
+        check_range(self, "[0, inf)", "scene_seed")
         if list(self.counts) != sorted(set(self.counts)):
             raise SettingsError(f"counts must be increasing, got {self.counts}")

@@ -32,6 +32,7 @@ OUTCOMES = (
     "goal unsafe",
     "no connection",
     "no path in the budget",
+    "too narrow",
     "path not verified",
     "path too close for the smallest speed",
     "the arm cannot follow",
@@ -41,6 +42,7 @@ _OF_STATUS = {
     PlanStatus.GOAL_UNSAFE: "goal unsafe",
     PlanStatus.NO_CONNECTION: "no connection",
     PlanStatus.BUDGET_SPENT: "no path in the budget",
+    PlanStatus.TOO_NARROW: "too narrow",
     PlanStatus.UNVERIFIED: "path not verified",
 }
 

@@ -48,6 +48,7 @@ class TrackingStudySettings:
     def __post_init__(self) -> None:
         check_range(self, "[1, inf)", "n_slope_runs", "n_bound_runs", "n_held_out_runs", "runs_per_batch")
         check_range(self, "(0, 1)", "content", "confidence")
+        check_range(self, "[0, inf)", "first_seed")
         check_range(self, "(0, inf)", "accelerations_mps2", "yaw_rate_radps", "record_rate_hz")
         least = self.min_bound_runs
         if self.n_bound_runs < least:
