@@ -31,7 +31,7 @@ class SettingsConfig(dg.Config, Generic[S]):
             value = getattr(self, name)
             values[name] = value.settings() if isinstance(value, SettingsConfig) else value
             if isinstance(value, list):
-                values[name] = tuple(value)
+                values[name] = tuple(one.settings() if isinstance(one, SettingsConfig) else one for one in value)
         return typing.cast(S, self._settings_class(**values))
 
 
@@ -51,6 +51,8 @@ def configurable(default: S) -> type[SettingsConfig[S]]:
             fields[field.name] = (nested, pydantic.Field(default_factory=nested, description=description))
         elif isinstance(value, tuple):
             item = typing.get_args(hints[field.name])[0]
+            if dataclasses.is_dataclass(item) and isinstance(item, type):
+                item = configurable(item())
             listed = pydantic.Field(default_factory=lambda value=value: list(value), description=description)
             fields[field.name] = (list[item], listed)
         else:

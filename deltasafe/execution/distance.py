@@ -1,8 +1,8 @@
 """Distance from the tool, or from points, to a triangle mesh, accurate to 0.1 mm.
 
-The tool consists of two convex solids, an elliptic and a circular cylinder; a triangle is convex too. Triangles whose
-bounding sphere is near enough are tested by alternating projections between the two convex sets (Cheney and Goldstein
-1959), which converge to the distance from above.
+The tool consists of convex solids, such as an elliptic and a circular cylinder; a triangle is convex too. Triangles
+whose bounding sphere is near enough are tested by alternating projections between the two convex sets (Cheney and
+Goldstein 1959), which converge to the distance from above.
 """
 
 import itertools
@@ -16,6 +16,7 @@ from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import SettingsError
 from deltasafe.geometry import as_rows
 from deltasafe.planning.body import ToolBody
+from deltasafe.planning.parts import ToolPart
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,7 @@ _MAX_PROJECTIONS = 400
 _CELL_M = 0.015
 _CELLS_PER_BLOCK = 4
 _TOUCHING_M = 1e-5
+_THIN_M = 1e-9
 
 
 class _SphereTree(NamedTuple):
@@ -108,12 +110,34 @@ class MeshDistance:
         rotation = as_rows(rotation, 3, "rotation")
         if len(rotation) != 3:
             raise SettingsError(f"rotation must have shape (3, 3), got {rotation.shape}")
-        disc = (body.semi_axis_x_m, body.semi_axis_y_m, -body.thickness_m / 2, body.thickness_m / 2)
-        shaft = (body.shaft_radius_m, body.shaft_radius_m, 0.0, body.shaft_length_m)
         best = at_most_m
-        for solid in (disc, shaft):
-            best = _solid_distance(np.array(solid), self._tree, position_m, rotation, best)
+        for part in body.solids:
+            solid, offset_m, turn = _solid_of(part)
+            place = position_m + rotation @ offset_m
+            core_m = _solid_distance(solid, self._tree, place, rotation @ turn, best + part.radius_m)
+            best = min(best, core_m - part.radius_m)
         return best if best > _TOUCHING_M else 0.0
+
+
+def _solid_of(part: ToolPart) -> tuple[Array, Array, Array]:
+    """The core of a part as (a, b, bottom, top, is box), its position and rotation in the tool's frame.
+
+    The core of a capsule is a cylinder of almost no radius along its axis.
+    """
+    if not part.is_segment:
+        cos, sin = math.cos(part.yaw_rad), math.sin(part.yaw_rad)
+        half = part.half_z_m
+        solid = (part.half_x_m, part.half_y_m, part.z_m - half, part.z_m + half, float(part.kind == "box"))
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return np.array(solid), np.array([part.x_m, part.y_m, 0.0]), turn
+    axis = np.array([part.half_x_m, part.half_y_m, part.half_z_m])
+    length_m = float(np.linalg.norm(axis))
+    along = axis / length_m if length_m > 0 else np.array([0.0, 0.0, 1.0])
+    across = np.cross(along, np.eye(3)[int(np.abs(along).argmin())])
+    across /= np.linalg.norm(across)
+    solid = (_THIN_M, _THIN_M, -length_m, length_m, 0.0)
+    turn = np.stack([across, np.cross(along, across), along], axis=1)
+    return np.array(solid), np.array([part.x_m, part.y_m, part.z_m]), turn
 
 
 def _bounding_spheres(corners: Array, starts: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -145,7 +169,7 @@ def _points_distance(points, box, tree, best):  # type: ignore[no-untyped-def]  
 
 @compiled
 def _solid_distance(solid, tree, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Smallest of ``best`` and the distance of an upright elliptic cylinder (a, b, bottom, top) to the triangles."""
+    """Smallest of ``best`` and the distance of a solid (a, b, bottom, top, is box) to the triangles."""
     bounds = np.empty(len(tree.block_centers))
     for block in range(len(bounds)):
         bounds[block] = _to_solid(solid, tree.block_centers[block], position, rotation) - tree.block_radii[block]
@@ -164,20 +188,21 @@ def _solid_distance(solid, tree, position, rotation, best):  # type: ignore[no-u
 @compiled
 def _to_solid(solid, point, position, rotation):  # type: ignore[no-untyped-def]  # pragma: no cover
     x, y, z = _to_frame(point, position, rotation)
-    return _gap(_in_solid(x, y, z, solid[0], solid[1], solid[2], solid[3]), (x, y, z))
+    return _gap(_in_solid(x, y, z, solid), (x, y, z))
 
 
 @compiled
 def _to_triangle(solid, triangle, position, rotation, best):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Smallest of ``best`` and the distance of the cylinder to one triangle (corners, center, radius)."""
     corners, center, radius = triangle
-    a, b, bottom, top = solid
+    bottom, top = solid[2], solid[3]
     x, y, z = _to_frame(center, position, rotation)
-    radial = max(math.sqrt(x * x + y * y) - max(a, b), 0.0)
+    reach = math.sqrt(solid[0] * solid[0] + solid[1] * solid[1]) if solid[4] > 0.0 else max(solid[0], solid[1])
+    radial = max(math.sqrt(x * x + y * y) - reach, 0.0)
     vertical = max(z - top, bottom - z, 0.0)
     if math.sqrt(radial * radial + vertical * vertical) - radius >= best:  # cheaper than the test below
         return best
-    if _gap(_in_solid(x, y, z, a, b, bottom, top), (x, y, z)) - radius >= best:
+    if _gap(_in_solid(x, y, z, solid), (x, y, z)) - radius >= best:
         return best
     local = np.empty((3, 3))
     for corner in range(3):
@@ -185,7 +210,7 @@ def _to_triangle(solid, triangle, position, rotation, best):  # type: ignore[no-
     last = np.inf
     gap = np.inf
     for _ in range(_MAX_PROJECTIONS):
-        inside = _in_solid(x, y, z, a, b, bottom, top)
+        inside = _in_solid(x, y, z, solid)
         x, y, z = _on_triangle(inside, local)
         gap = _gap(inside, (x, y, z))
         if gap < _TOUCHING_M or last - gap < 1e-8:
@@ -218,9 +243,12 @@ def _gap(p, q):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @compiled
-def _in_solid(x, y, z, a, b, bottom, top):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Nearest point of the solid elliptic cylinder."""
-    z = min(max(z, bottom), top)
+def _in_solid(x, y, z, solid):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Nearest point of the solid elliptic cylinder or box."""
+    a, b = solid[0], solid[1]
+    z = min(max(z, solid[2]), solid[3])
+    if solid[4] > 0.0:
+        return min(max(x, -a), a), min(max(y, -b), b), z
     if (x / a) ** 2 + (y / b) ** 2 <= 1.0:
         return x, y, z
     # Newton from the left on (a x / (t + a^2))^2 + (b y / (t + b^2))^2 = 1, convex and decreasing in the multiplier t

@@ -62,7 +62,7 @@ class IiwaArm:
 
     def __init__(self, cell: Workcell, seed: int = 0, friction: JointFriction | None = None) -> None:
         mount, friction = ArmMount.beside(cell.table_z_m), friction or JointFriction()
-        self.kinematics = IiwaKinematics(mount, cell.body.shaft_length_m)
+        self.kinematics = IiwaKinematics(mount, cell.body.shaft_length_m, cell.body.is_symmetric)
         self._world = World(cell, mount)
         self._model = self._world.model
         self._bullet, self._client, self._arm = self._world.bullet, self._world.client, self._world.arm

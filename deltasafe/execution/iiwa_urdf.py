@@ -5,9 +5,12 @@ import pathlib
 import xml.etree.ElementTree as ET
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from deltasafe.execution.kinematics import IIWA14_LIMITS
 from deltasafe.planning.body import ToolBody
+from deltasafe.planning.parts import ToolPart
 
 FLANGE_IN_LINK_7_M = 0.045
 TOOL_DENSITY_KGPM3 = 1200.0  # printed plastic
@@ -35,9 +38,12 @@ def iiwa_with_tool(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> 
         limit.set("upper", repr(reach))
         limit.set("effort", repr(IIWA14_LIMITS.torque_nm[index]))
         limit.set("velocity", repr(IIWA14_LIMITS.velocity_radps[index]))
-    disc = folder / "disc.obj"
-    disc.write_text(_elliptic_cylinder(body), encoding="utf-8")
-    robot.append(ET.fromstring(f'<link name="tool">{_tool_inertia(body)}{_tool_shapes(body, disc)}</link>'))
+    shapes = (
+        _tool_shapes(body, folder)
+        if not body.parts
+        else "".join(_part_shapes(part, folder / f"part_{number}.obj") for number, part in enumerate(body.solids))
+    )
+    robot.append(ET.fromstring(f'<link name="tool">{_tool_inertia(body)}{shapes}</link>'))
     robot.append(
         ET.fromstring(
             '<joint name="tool_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="tool"/>'
@@ -48,7 +54,9 @@ def iiwa_with_tool(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> 
 
 
 def _tool_inertia(body: ToolBody) -> str:
-    """Disc and shaft of one density, shaft from the upper face of the disc."""
+    """Disc and shaft of one density, shaft from the upper face of the disc; parts as points of a grid."""
+    if body.parts:
+        return _inertia_of_points(body)
     half = body.thickness_m / 2
     shaft_m = body.shaft_length_m - half
     shaft_kg = TOOL_DENSITY_KGPM3 * math.pi * body.shaft_radius_m**2 * shaft_m
@@ -67,7 +75,45 @@ def _tool_inertia(body: ToolBody) -> str:
     )
 
 
-def _tool_shapes(body: ToolBody, disc: pathlib.Path) -> str:
+def _inertia_of_points(body: ToolBody) -> str:
+    """Mass and inertia of the union of the parts, from points 1/30 of its extent apart."""
+    reach_m = max(part.reach_m for part in body.solids)
+    axis = np.linspace(-reach_m, reach_m, 61)
+    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    points = np.concatenate([points[body.distance_m(points) <= 0], [part.center_m for part in body.solids]])
+    mass = max(TOOL_DENSITY_KGPM3 * (axis[1] - axis[0]) ** 3 * len(points), 0.01)
+    center = points.mean(axis=0)
+    x, y, z = (points - center).T
+    around = [mass * float(np.mean(a * a + b * b)) + 1e-7 for a, b in ((y, z), (x, z), (x, y))]
+    mixed = [-mass * float(np.mean(a * b)) for a, b in ((x, y), (x, z), (y, z))]
+    names = dict(zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), around + mixed, strict=True))
+    values = " ".join(f'{name}="{value!r}"' for name, value in names.items())
+    origin = " ".join(repr(float(value)) for value in center)
+    return f'<inertial><origin xyz="{origin}"/><mass value="{mass!r}"/><inertia {values}/></inertial>'
+
+
+def _part_shapes(part: ToolPart, mesh: pathlib.Path) -> str:
+    """Visual and collision shape of a part: a convex mesh of its core, grown by the radius."""
+    mesh.write_text(_convex_mesh(part.surface_points()), encoding="utf-8")
+    paint = f'<material name="Tool"><color rgba="{" ".join(map(str, TOOL_RGBA))}"/></material>'
+    geometry = f'<geometry><mesh filename="{mesh}"/></geometry>'
+    return f"<visual>{geometry}{paint}</visual><collision>{geometry}</collision>"
+
+
+def _convex_mesh(points: NDArray[np.float64]) -> str:
+    """OBJ text of the convex hull of points (n, 3), with outward triangles."""
+    hull = ConvexHull(points)
+    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in points]
+    for triangle, outward in zip(hull.simplices, hull.equations[:, :3], strict=True):
+        a, b, c = points[triangle]
+        order = triangle if np.cross(b - a, c - a) @ outward > 0 else triangle[::-1]
+        lines.append("f " + " ".join(str(index + 1) for index in order))
+    return "\n".join(lines) + "\n"
+
+
+def _tool_shapes(body: ToolBody, folder: pathlib.Path) -> str:
+    disc = folder / "disc.obj"
+    disc.write_text(_elliptic_cylinder(body), encoding="utf-8")
     half = body.thickness_m / 2
     shaft_m = body.shaft_length_m - half
     paint = f'<material name="Tool"><color rgba="{" ".join(map(str, TOOL_RGBA))}"/></material>'

@@ -22,6 +22,8 @@ BASE_TO_SHOULDER_M = 0.36
 SHOULDER_TO_ELBOW_M = 0.42
 ELBOW_TO_WRIST_M = 0.40
 WRIST_TO_FLANGE_M = 0.126
+SINGULAR = 1e-6
+"""Smallest horizontal fraction of the direction from shoulder to wrist."""
 
 _BRANCHES = tuple(itertools.product((1.0, -1.0), repeat=3))  # signs of q2, q4 and q6
 
@@ -78,15 +80,17 @@ class IiwaKinematics:
     """Inverse kinematics of an iiwa 14 with a straight tool below its flange.
 
     The origin of the tool frame is the center of the disc, z points along the shaft to the flange, x along the first
-    semi-axis of the ellipse. With a vertical shaft its rotation in the world is Rz(yaw).
+    semi-axis of the ellipse. With a vertical shaft its rotation in the world is Rz(yaw). A tool that half a turn maps
+    to itself may also be held turned by half a turn.
     """
 
-    def __init__(self, mount: ArmMount, tool_length_m: float) -> None:
+    def __init__(self, mount: ArmMount, tool_length_m: float, is_symmetric: bool = True) -> None:
         if not (math.isfinite(tool_length_m) and tool_length_m > 0):
             raise SettingsError(f"tool_length_m must be a positive length in meters, got {tool_length_m}")
         self.mount = mount
         self.tool_length_m = tool_length_m
         self.limits = IIWA14_LIMITS
+        self._period_rad = math.pi if is_symmetric else 2 * math.pi
         self._base_rotation = mount.base_rotation
         self._shoulder_m = mount.base_m + np.array([0.0, 0.0, BASE_TO_SHOULDER_M])
 
@@ -132,7 +136,13 @@ class IiwaKinematics:
         direction = reach / distance[:, None]
         # arm angle 0: the elbow lies in the vertical plane through shoulder and wrist, above the line between them
         side = np.stack([-direction[:, 1], direction[:, 0], np.zeros(len(direction))], axis=1)
-        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        beside = np.linalg.norm(side, axis=1, keepdims=True)
+        if beside.min() < SINGULAR:
+            raise PlanningError(
+                f"the arm cannot take the pose {_text(poses[int(beside.argmin())])}: its wrist would be straight above "
+                "or below the shoulder, where the plane of the elbow is undefined; move the path or the base of the arm"
+            )
+        side /= beside
         above = np.cross(direction, side)
         angle = self.mount.arm_angle_rad
         outward = math.cos(angle) * above + math.sin(angle) * side
@@ -152,7 +162,7 @@ class IiwaKinematics:
         q7 = np.arctan2(sign6 * hand[:, 2, 1], -sign6 * hand[:, 2, 0])
         joints = np.unwrap(np.stack([q1, q2, q3, q4, q5, q6, q7], axis=1), axis=0)
         middle = (joints[:, 6].max() + joints[:, 6].min()) / 2
-        joints[:, 6] -= math.pi * round(middle / math.pi)
+        joints[:, 6] -= self._period_rad * round(middle / self._period_rad)
         return joints
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.arrays import read_npz
+from deltasafe.io.records import from_json
 from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.planning.body import ToolBody
 
@@ -168,7 +169,7 @@ class Execution:
         try:
             arrays = {name: stored[name] for name in COLUMNS}
             execution = cls(
-                **arrays, body=ToolBody(**about["body"]), seed=about["seed"], stop_reason=about["stop_reason"]
+                **arrays, body=from_json(ToolBody, about["body"]), seed=about["seed"], stop_reason=about["stop_reason"]
             )
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(folder, f"holds no execution ({error!r}); execute the motion again") from error

@@ -15,6 +15,7 @@ from deltasafe.interchange.log_content import NS_PER_S, stamp
 from deltasafe.interchange.mcap_log import open_log
 from deltasafe.interchange.reading import read_log
 from deltasafe.interchange.scenes import quaternion, upright, vector, write_scene_topics
+from deltasafe.io.records import from_json
 from deltasafe.planning.body import ToolBody
 from deltasafe.scene import LoggedScene
 
@@ -75,7 +76,7 @@ def import_execution(source: str | pathlib.Path) -> Execution:
             tool_to_hand_m=np.array([_or_infinite(one["tool_to_hand_m"]) for one in samples]),
             arm_to_hand_m=np.array([_or_infinite(one["arm_to_hand_m"]) for one in samples]),
             contacts=np.array([one["contacts"] for one in samples], np.int32),
-            body=ToolBody(**facts["body"]),
+            body=from_json(ToolBody, facts["body"]),
             seed=facts["seed"],
             stop_reason=facts["stop_reason"],
         )

@@ -10,8 +10,10 @@ from deltasafe.planning.collision.segment_tests import (
     body_clearance_m,
     is_segment_safe,
     segment_test,
+    verification_test,
 )
 from deltasafe.planning.motion import MotionSettings, PlannedMotion, plan_motion
+from deltasafe.planning.parts import ToolPart
 from deltasafe.planning.results import PlanResult, PlanStatus
 from deltasafe.planning.scc_rrt_star import Planner, PlannerSettings, plan
 from deltasafe.planning.search.cost import LineCost, area_m2, line_cost, path_cost
@@ -20,6 +22,7 @@ from deltasafe.planning.search.rrt_star import RrtStar, RrtStarSettings, grow_tr
 from deltasafe.planning.search.shortcutting import refine_path
 from deltasafe.planning.search.tree import SearchTree
 from deltasafe.planning.timing.velocity_schedule import SpeedProfile, VelocitySettings, schedule, schedule_at_top_speed
+from deltasafe.planning.tool_urdf import tool_from_urdf
 from deltasafe.planning.tracking_bound import TrackingBound
 
 __all__ = [
@@ -40,6 +43,7 @@ __all__ = [
     "SegmentTest",
     "SpeedProfile",
     "ToolBody",
+    "ToolPart",
     "TrackingBound",
     "VelocitySettings",
     "area_m2",
@@ -57,5 +61,7 @@ __all__ = [
     "search_problem",
     "segment_is_safe",
     "segment_test",
+    "tool_from_urdf",
+    "verification_test",
     "verify_motion",
 ]

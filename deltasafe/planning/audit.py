@@ -12,6 +12,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.geometry import Trajectory
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.motion import PlannedMotion
+from deltasafe.planning.parts import ToolPart
 from deltasafe.scene import OccupancyGrid
 
 Array = NDArray[np.float64]
@@ -113,10 +114,23 @@ def body_points(body: ToolBody, spacing_m: float = 0.0025) -> Array:
     """Points (P, 3) on and inside the tool in its frame, at most about ``spacing_m`` apart."""
     if not (math.isfinite(spacing_m) and spacing_m > 0):
         raise SettingsError(f"spacing_m must be a positive length in meters, got {spacing_m}")
+    if body.parts:
+        return np.concatenate([_points_of(part, spacing_m) for part in body.solids])
     half = body.thickness_m / 2
     scale = [body.semi_axis_x_m / body.rho_max_m, body.semi_axis_y_m / body.rho_max_m]
     disc, shaft = _rings(body.rho_max_m, spacing_m) * scale, _rings(body.shaft_radius_m, spacing_m)
     return np.concatenate([_layers(disc, -half, half, spacing_m), _layers(shaft, half, body.shaft_length_m, spacing_m)])
+
+
+def _points_of(part: ToolPart, spacing_m: float) -> Array:
+    """Points of a grid on the box around a part that lie in the part; at most 40 along each axis."""
+    corners = part.corners()
+    lower, upper = corners.min(axis=0) - part.radius_m, corners.max(axis=0) + part.radius_m
+    counts = 1 + np.clip(np.ceil((upper - lower) / spacing_m).astype(int), 2, 40)
+    axes = [np.linspace(low, high, count) for low, high, count in zip(lower, upper, counts, strict=True)]
+    points_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points_m = np.concatenate([points_m, corners])
+    return points_m[part.distance_m(points_m) <= 0]
 
 
 def _rings(radius_m: float, spacing_m: float) -> Array:

@@ -1,6 +1,7 @@
 """R_0, the space that the tool occupies at the zero pose (section IV-A); shared by planner and simulator."""
 
 import dataclasses
+import functools
 import math
 from typing import NamedTuple
 
@@ -8,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.planning.disc_cover import bounding_balls, disc_cover, distance_to_ellipse
+from deltasafe.planning.disc_cover import bounding_balls, disc_cover
+from deltasafe.planning.parts import MAX_EXTENT_M, ToolPart
+from deltasafe.setting_ranges import check_range
 
 Array = NDArray[np.float64]
 NO_SHAFT_M = -1e6
@@ -16,22 +19,32 @@ NO_SHAFT_M = -1e6
 
 
 class BodyParams(NamedTuple):
-    """Dimensions of a body, as compiled code reads them. Without a shaft, ``shaft_radius_m`` is negative."""
+    """Dimensions of a body, as compiled code reads them.
+
+    Attributes:
+        disc_radius_m: of the ball around the center that encloses the disc, or all parts below ``shaft_radius_m``.
+        half_thickness_m: depth of the lowest point below the center.
+        shaft_radius_m: of an infinite upright cylinder above the center that encloses the rest; negative without one.
+        rho_max_m: largest distance of a point from the yaw axis.
+    """
 
     disc_radius_m: float
     half_thickness_m: float
     shaft_radius_m: float
     rho_max_m: float
-    semi_axis_x_m: float
-    semi_axis_y_m: float
 
 
 @dataclasses.dataclass(frozen=True)
 class ToolBody:
-    """An elliptic disc parallel to the table at the lower end of a slim vertical shaft (decision 12).
+    """An elliptic disc parallel to the table at the lower end of a slim vertical shaft (decision 12), or other parts.
 
     The pose of the tool is the center of the disc. Yaw turns the ellipse, with period pi. The shaft ends at the flange,
     ``shaft_length_m`` above the center of the disc. A length of 0 means the disc alone, as in section V-B of the paper.
+
+    Attributes:
+        semi_axis_x_m, semi_axis_y_m, thickness_m: of the disc.
+        shaft_radius_m, shaft_length_m: of the shaft.
+        parts: convex parts that replace the disc (decision 72); the shaft remains.
     """
 
     semi_axis_x_m: float = 0.03
@@ -39,56 +52,74 @@ class ToolBody:
     thickness_m: float = 0.01
     shaft_radius_m: float = 0.005
     shaft_length_m: float = 0.25
+    parts: tuple[ToolPart, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, value in dataclasses.asdict(self).items():
-            if not (math.isfinite(value) and (value > 0 or (name == "shaft_length_m" and value == 0))):
-                raise SettingsError(f"{name} must be a positive length in meters, got {value}")
-        if self.shaft_radius_m > min(self.semi_axis_x_m, self.semi_axis_y_m):
+        check_range(self, f"(0, {MAX_EXTENT_M}]", "semi_axis_x_m", "semi_axis_y_m", "thickness_m", "shaft_radius_m")
+        check_range(self, f"[0, {MAX_EXTENT_M}]", "shaft_length_m")
+        if not self.parts and self.shaft_radius_m > min(self.semi_axis_x_m, self.semi_axis_y_m):
             raise SettingsError(f"shaft_radius_m {self.shaft_radius_m} is wider than the disc")
 
+    @functools.cached_property
+    def solids(self) -> tuple[ToolPart, ...]:
+        """All convex parts: the disc or the parts that replace it, and the shaft from the center upward."""
+        half = self.thickness_m / 2
+        disc = ToolPart("disc", half_x_m=self.semi_axis_x_m, half_y_m=self.semi_axis_y_m, half_z_m=half)
+        return (self.parts or (disc,)) + self.shaft
+
     @property
+    def shaft(self) -> tuple[ToolPart, ...]:
+        """The shaft as a part, if there is one."""
+        half = self.shaft_length_m / 2
+        radius = self.shaft_radius_m
+        return (ToolPart("disc", z_m=half, half_x_m=radius, half_y_m=radius, half_z_m=half),) if half > 0 else ()
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether half a turn maps the body to itself; known of the disc only."""
+        return not self.parts
+
+    @functools.cached_property
     def rho_max_m(self) -> float:
         """Largest distance of a point of the body from the yaw axis: converts yaw error to workspace error."""
-        return max(self.semi_axis_x_m, self.semi_axis_y_m)
+        return max(part.rho_max_m for part in self.solids)
 
     @property
     def disc_radius_m(self) -> float:
-        """Radius of the ball around the center that encloses the disc."""
+        """Radius of the ball around the center that encloses the disc or the parts."""
+        if self.parts:
+            return max(part.reach_m for part in self.parts)
         return math.hypot(self.rho_max_m, self.thickness_m / 2)
 
-    @property
+    @functools.cached_property
     def params(self) -> BodyParams:
         """Dimensions for compiled code."""
-        return BodyParams(
-            self.disc_radius_m,
-            self.thickness_m / 2,
-            self.shaft_radius_m if self.shaft_length_m > 0 else NO_SHAFT_M,
-            self.rho_max_m,
-            self.semi_axis_x_m,
-            self.semi_axis_y_m,
-        )
+        if not self.parts:
+            shaft_m = self.shaft_radius_m if self.shaft_length_m > 0 else NO_SHAFT_M
+            return BodyParams(self.disc_radius_m, self.thickness_m / 2, shaft_m, self.rho_max_m)
+        is_tall = [part.bottom_m >= 0 and part.reach_m > 2 * part.rho_max_m for part in self.solids]
+        around_m = [part.reach_m for part, tall in zip(self.solids, is_tall, strict=True) if not tall]
+        above_m = [part.rho_max_m for part, tall in zip(self.solids, is_tall, strict=True) if tall]
+        bottom_m = min(part.bottom_m for part in self.solids)
+        return BodyParams(max(around_m, default=0.0), -bottom_m, max(above_m, default=NO_SHAFT_M), self.rho_max_m)
 
     def distance_m(self, points_m: Array) -> Array:
-        """Distance (N,) of points (N, 3) in the body's frame to disc and shaft; 0 inside."""
-        points_m = np.asarray(points_m, dtype=np.float64)
-        beside = distance_to_ellipse(points_m[:, :2], self.semi_axis_x_m, self.semi_axis_y_m)
-        above = np.maximum(np.abs(points_m[:, 2]) - self.thickness_m / 2, 0.0)
-        disc_m = np.hypot(beside, above)
-        if self.shaft_length_m == 0:
-            return np.asarray(disc_m)
-        off_axis = np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]) - self.shaft_radius_m, 0.0)
-        beyond = np.maximum(np.maximum(-points_m[:, 2], points_m[:, 2] - self.shaft_length_m), 0.0)
-        return np.asarray(np.minimum(disc_m, np.hypot(off_axis, beyond)))
+        """Distance (N,) of points (N, 3) in the body's frame to the body; 0 inside."""
+        return np.asarray(np.min([part.distance_m(points_m) for part in self.solids], axis=0))
 
     def samples(self, margin_m: float, count: int, seed: int) -> Array:
         """Draw (count, 3) points uniformly from R_0 + B(margin), the Minkowski sum with a ball.
 
         The sum is no ellipsoid (decision 12). Points are drawn from two boxes that touch, one around the disc and one
         around the rest of the shaft, and accepted if their distance to the body is at most the margin.
+
+        Raises:
+            SettingsError: the margin or the count is out of range, or the body has parts.
         """
         if not (math.isfinite(margin_m) and margin_m >= 0) or count < 1:
             raise SettingsError(f"samples need margin_m >= 0 and count >= 1, got {margin_m}, {count}")
+        if self.parts:
+            raise SettingsError("points are drawn from the disc only; use method continuous for a tool with parts")
         rng = np.random.default_rng(seed)
         half = self.thickness_m / 2 + margin_m
         disc_box = np.array([self.semi_axis_x_m + margin_m, self.semi_axis_y_m + margin_m])

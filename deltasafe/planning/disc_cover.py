@@ -12,6 +12,11 @@ from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
+GRID = 300
+"""The disc is measured on a grid of at most about 2 GRID by 2 GRID points, however slender or large it is."""
+
+MAX_BALLS = 65
+
 
 @functools.lru_cache(maxsize=256)
 def disc_cover(semi_axis_x_m: float, semi_axis_y_m: float, thickness_m: float) -> tuple[Array, float]:
@@ -21,9 +26,10 @@ def disc_cover(semi_axis_x_m: float, semi_axis_y_m: float, thickness_m: float) -
     distance of a point of the disc to its nearest center, measured on a grid and enlarged by the grid's resolution.
     """
     a, b = semi_axis_x_m, semi_axis_y_m
-    layers = max(1, math.ceil(thickness_m / 0.005 - 1e-9))
+    layers = max(1, math.ceil(thickness_m / max(0.005, math.sqrt(a * b) / 30) - 1e-9))
     half_layer = thickness_m / (2 * layers)
-    inset = min(0.003, 0.4 * min(a, b) ** 2 / max(a, b))
+    size = math.sqrt(a * b)
+    inset = max(min(0.003, 0.4 * min(a, b) ** 2 / max(a, b)), 0.1 * min(a, b), size / 30)  # bounds the number of balls
     flat = _inset_ellipse(a, b, inset, 1.2 * inset)
     pitch = 1.5 * inset
     x, y = np.meshgrid(np.arange(-a, a + pitch, pitch), np.arange(-b, b + pitch, pitch * math.sqrt(3) / 2))
@@ -33,7 +39,7 @@ def disc_cover(semi_axis_x_m: float, semi_axis_y_m: float, thickness_m: float) -
     if min(inner_a, inner_b) > 0:
         inner = inner[(inner[:, 0] / inner_a) ** 2 + (inner[:, 1] / inner_b) ** 2 <= 1]
         flat = np.concatenate([flat, inner])
-    step = inset / 20
+    step = max(inset / 20, size / GRID)
     radius = cKDTree(flat).query(_grid_on_ellipse(a, b, step, step))[0].max() + step / math.sqrt(2)
     heights = (np.arange(layers) * 2 + 1 - layers) * half_layer
     centers = np.concatenate([np.column_stack([flat, np.full(len(flat), height)]) for height in heights])
@@ -53,10 +59,10 @@ def bounding_balls(semi_axis_x_m: float, semi_axis_y_m: float, thickness_m: floa
     """
     major, minor = max(semi_axis_x_m, semi_axis_y_m), min(semi_axis_x_m, semi_axis_y_m)
     half = major - minor**2 / major
-    count = 1 if half < 1e-6 else 2 * math.ceil(2.5 * half / minor) + 1
+    count = 1 if half < 1e-6 else min(2 * math.ceil(2.5 * half / minor) + 1, MAX_BALLS)
     along = half * np.sin(np.linspace(-math.pi / 2, math.pi / 2, count)) if count > 1 else np.zeros(1)
     inscribed = minor * np.sqrt(np.clip(1 - along**2 / max(major**2 - minor**2, 1e-12), 0, 1))
-    step = minor / 100
+    step = max(minor / 100, math.sqrt(major * minor) / GRID)
     disc = _grid_on_ellipse(major, minor, 0.0, step)
     distance = np.hypot(disc[:, :1] - along, disc[:, 1:])
     owner = (distance - inscribed).argmin(axis=1)

@@ -7,7 +7,16 @@ from deltasafe.geometry import PosePath
 
 
 class PlanStatus(enum.StrEnum):
-    """How a search ended."""
+    """How a search ended.
+
+    Attributes:
+        SOLVED: the path passed the continuous test.
+        UNVERIFIED: the test of the search accepted the path, the continuous test did not; never executed.
+        BUDGET_SPENT: no path within ``n_iterations`` or ``time_limit_s``, with any margin; more may help.
+        START_UNSAFE, GOAL_UNSAFE: the pose itself has less clearance than the margin.
+        NO_CONNECTION: proof, at the resolution of voxels, that no path exists.
+        TOO_NARROW: the same search finds a path with a smaller margin only; the message states both margins.
+    """
 
     SOLVED = "solved"
     UNVERIFIED = "path fails the continuous check"
@@ -15,6 +24,7 @@ class PlanStatus(enum.StrEnum):
     START_UNSAFE = "start unsafe"
     GOAL_UNSAFE = "goal unsafe"
     NO_CONNECTION = "no connection"
+    TOO_NARROW = "too narrow"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,8 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
-from deltasafe.planning import PlannedMotion, ToolBody
+from deltasafe.planning import PlannedMotion, ToolBody, ToolPart
 from deltasafe.reporting import over_image
 from deltasafe.reporting.over_image import CLEAR, INK, LIMIT, SIGNAL
 from deltasafe.reporting.panels import save_figure
@@ -111,16 +112,33 @@ def _draw_profile(axes: list[Axes], motion: PlannedMotion, table_z_m: float) -> 
 
 
 def body_outlines(poses: Array, body: ToolBody, apart_m: float = 0.035) -> list[Array]:
-    """Return outlines (M, 3) of the disc at poses about ``apart_m`` apart, both ends included."""
+    """Return outlines (M, 3) of the disc or parts, seen from above, at poses ``apart_m`` apart; both ends included."""
     steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + body.rho_max_m * np.abs(np.diff(poses[:, 3]))
     arc_m = np.append(0.0, np.cumsum(steps))
     places = np.linspace(0, arc_m[-1], 1 + max(1, round(arc_m[-1] / apart_m)))
     angle = np.linspace(0, 2 * np.pi, 72)
-    rim = np.column_stack([body.semi_axis_x_m * np.cos(angle), body.semi_axis_y_m * np.sin(angle)])
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    if body.parts:
+        rims = [_outline(part, circle) for part in body.parts]
+    else:
+        rims = [circle * [body.semi_axis_x_m, body.semi_axis_y_m]]
     outlines = []
     for place in places:
         pose = poses[min(int(np.searchsorted(arc_m, place)), len(poses) - 1)]
         cos, sin = np.cos(pose[3]), np.sin(pose[3])
-        turned = rim @ np.array([[cos, sin], [-sin, cos]])
-        outlines.append(np.column_stack([turned + pose[:2], np.full(len(rim), pose[2])]))
+        for rim in rims:
+            turned = rim @ np.array([[cos, sin], [-sin, cos]])
+            outlines.append(np.column_stack([turned + pose[:2], np.full(len(rim), pose[2])]))
     return outlines
+
+
+def _outline(part: ToolPart, circle: Array) -> Array:
+    """Convex hull (M, 2), closed, of a part seen from above, in the tool's frame."""
+    core = part.corners()[:, :2]
+    if part.kind == "disc":
+        cos, sin = np.cos(part.yaw_rad), np.sin(part.yaw_rad)
+        rim = circle * [part.half_x_m, part.half_y_m]
+        core = rim @ np.array([[cos, sin], [-sin, cos]]) + [part.x_m, part.y_m]
+    points = (core[:, None] + max(part.radius_m, 1e-6) * circle).reshape(-1, 2)
+    hull = ConvexHull(points).vertices
+    return np.asarray(points[np.append(hull, hull[0])])

@@ -9,6 +9,7 @@ from assets.config import configurable
 from deltasafe.errors import SettingsError
 from deltasafe.perception.data.augmentation.settings import AugmentationSettings
 from deltasafe.perception.settings import NetworkSettings, TrainingSettings
+from deltasafe.planning import MotionSettings, ToolPart
 from deltasafe.presets import PRESETS
 
 
@@ -29,6 +30,16 @@ def test_nested_values_can_be_set_and_others_keep_their_defaults():
 def test_tuples_become_lists_and_back():
     config = configurable(AugmentationSettings())
     assert config(left_out=["noise"]).settings().left_out == ("noise",)
+
+
+def test_parts_of_a_tool_are_a_list_of_forms():
+    config = configurable(MotionSettings())
+    body = (
+        config(body={"parts": [{"kind": "box", "half_x_m": 0.02, "half_y_m": 0.01, "half_z_m": 0.03}]}).settings().body
+    )
+    assert body.parts == (ToolPart("box", half_x_m=0.02, half_y_m=0.01, half_z_m=0.03),)
+    with pytest.raises(SettingsError, match="kind of a part"):
+        config(body={"parts": [{"kind": "cone"}]}).settings()
 
 
 def test_an_unknown_key_is_refused_by_dagster():

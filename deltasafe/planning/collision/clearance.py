@@ -92,17 +92,13 @@ def _clearance_in_slices(arrays, p, q, lowest, highest):  # type: ignore[no-unty
 
 
 @inlined
-def is_surely_unsafe(arrays, body, pose):  # type: ignore[no-untyped-def]
-    """Return whether the center or a vertex of the ellipse lies in an unsafe voxel: five look-ups, no margin."""
+def is_surely_unsafe(arrays, pose):  # type: ignore[no-untyped-def]
+    """Return whether a probe, such as the center or a vertex of the ellipse, lies in an unsafe voxel; no margin."""
     x, y, z, yaw = pose
-    if _is_unsafe_at(arrays, x, y, z):
-        return True
     cos, sin = math.cos(yaw), math.sin(yaw)
-    for sign in (-1.0, 1.0):
-        u, v = sign * body.semi_axis_x_m, sign * body.semi_axis_y_m
-        if _is_unsafe_at(arrays, x + cos * u, y + sin * u, z):
-            return True
-        if _is_unsafe_at(arrays, x - sin * v, y + cos * v, z):
+    for n in range(len(arrays.probes)):
+        u, v, w = arrays.probes[n, 0], arrays.probes[n, 1], arrays.probes[n, 2]
+        if _is_unsafe_at(arrays, x + cos * u - sin * v, y + sin * u + cos * v, z + w):
             return True
     return False
 

@@ -1,5 +1,6 @@
 """Lookup tables that accept most poses of a body in O(1): clearance at any yaw, and free voxels per yaw bin."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.numba_cache import compiled, inlined
 from deltasafe.planning.body import ToolBody
-from deltasafe.planning.collision.distance_field import DistanceField, Lattice
+from deltasafe.planning.collision.distance_field import COARSE_REACH_M, DistanceField, Lattice
 from deltasafe.planning.collision.yaw_clearance_table import NO_YAW_TABLE, YawClearanceTable, yaw_clearance_table
 
 UNIT_M = 0.0005
@@ -35,8 +36,10 @@ def clearance_tables_of(field: DistanceField, body: ToolBody, yaw_clearance_m: f
     """Build the tables of a body in a field; ``yaw_clearance_m`` is the clearance of ``by_yaw``, None to omit it."""
     lattice = field.arrays.lattice
     cell_m = lattice.stride * lattice.voxel_m
+    # scales with the body, in steps, so that bodies of similar size share it
+    reach_m = COARSE_REACH_M * max(1, math.ceil((body.params.disc_radius_m + 0.05) / COARSE_REACH_M))
     return ClearanceTables(
-        _clearance_steps(*field.coarse_clearance_m, cell_m, body.params),
+        _clearance_steps(*field.coarse_clearance_m(reach_m), cell_m, body.params),
         NO_YAW_TABLE if yaw_clearance_m is None else yaw_clearance_table(field, body, yaw_clearance_m),
         lattice,
         1.0 / cell_m,

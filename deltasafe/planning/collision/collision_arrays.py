@@ -27,10 +27,12 @@ class CollisionArrays(NamedTuple):
             ``slab_rise_m``.
         slab_rise_m: see ``slab_distance``.
         squared_distance, squared_ray_distance: see ``FieldArrays``.
-        balls: (m, 5) bounding balls of the disc: center, radius, and radius that also contains the ball's group of the
-            cover.
+        balls: (m, 5) bounding balls of the disc or the parts: center, radius, and radius that also contains the ball's
+            group of the cover.
         cover: (n, 4) small balls that cover the disc tightly, sorted by group: center and radius.
         group_start: (m + 1,) index into ``cover`` of the first ball of each group.
+        probes: (k, 3) points of the body that reveal most collisions.
+        parts: (p, 10) convex parts of the body, see ``ToolPart.params``.
         lattice: of the field.
         table_z_m: height of the table.
     """
@@ -47,15 +49,25 @@ class CollisionArrays(NamedTuple):
     balls: NDArray[np.float64]
     cover: NDArray[np.float64]
     group_start: NDArray[np.int64]
+    probes: NDArray[np.float64]
+    parts: NDArray[np.float64]
     lattice: Lattice
     table_z_m: float
 
 
 def collision_arrays_of(field: DistanceField, body: ToolBody, margin_m: float) -> CollisionArrays:
     """Build the arrays of a body that keeps ``margin_m`` from the unsafe set."""
-    slab_distance, slab_rise_m = field.slab_distance(body.thickness_m / 2 + margin_m)
-    balls, cover, group_start = _grouped_cover(body)
-    circles = _circles(body, field.arrays.lattice)
+    if body.parts:
+        slab_distance, slab_rise_m = np.zeros((0, 0, 0), np.uint8), np.inf
+        balls, cover, group_start = _balls_of_parts(body)
+        circles = np.full((1, 3), np.inf)  # beyond the reach of the horizontal distances, which know the disc only
+        probes = np.array([[part.x_m, part.y_m, part.z_m] for part in body.parts])
+    else:
+        slab_distance, slab_rise_m = field.slab_distance(body.thickness_m / 2 + margin_m)
+        balls, cover, group_start = _grouped_cover(body)
+        circles = _circles(body, field.arrays.lattice)
+        a, b = body.semi_axis_x_m, body.semi_axis_y_m
+        probes = np.array([[0, 0, 0], [-a, 0, 0], [0, -b, 0], [a, 0, 0], [0, b, 0]], dtype=np.float64)
     return CollisionArrays(
         field.ray_clearance,
         field.unsafe_bits,
@@ -69,9 +81,17 @@ def collision_arrays_of(field: DistanceField, body: ToolBody, margin_m: float) -
         balls,
         cover,
         group_start,
+        probes,
+        np.array([part.params for part in body.solids]),
         field.arrays.lattice,
         field.arrays.table_z_m,
     )
+
+
+def _balls_of_parts(body: ToolBody) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """One ball per group: what the balls do not accept is left to the exact distance."""
+    balls = np.concatenate([part.balls() for part in body.solids])
+    return np.column_stack([balls, balls[:, 3]]), balls, np.arange(len(balls) + 1)
 
 
 def _circles(body: ToolBody, lattice: Lattice) -> NDArray[np.float64]:

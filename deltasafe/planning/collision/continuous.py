@@ -6,9 +6,10 @@ import numpy as np
 
 from deltasafe.compute.numba_cache import inlined, kernel
 from deltasafe.planning.body import BodyParams
-from deltasafe.planning.collision.clearance import is_surely_unsafe, level_clearance
+from deltasafe.planning.collision.clearance import clearance_of_pose, is_surely_unsafe, level_clearance
 from deltasafe.planning.collision.clearance_tables import ClearanceTables, table_clearance_m
 from deltasafe.planning.collision.collision_arrays import CollisionArrays
+from deltasafe.planning.collision.exact_clearance import exact_clearance
 from deltasafe.planning.collision.segment import in_order, motion_m, pose_at
 from deltasafe.planning.collision.segment_query import register_segment_test
 from deltasafe.planning.collision.yaw_clearance_table import is_free_by_yaw
@@ -27,13 +28,20 @@ STEP_FACTOR = 0.98
 
 
 class ContinuousTest(NamedTuple):
-    """Tables and arrays, the margin to keep, and the motion below which a refused piece is not divided further."""
+    """The continuous test of a body.
+
+    Attributes:
+        margin_m: distance to keep.
+        resolution_m: motion below which a refused piece is not divided further.
+        is_exact: measure the exact distance before a pose is refused; slower, and loses almost no clearance.
+    """
 
     tables: ClearanceTables
     arrays: CollisionArrays
     body: BodyParams
     margin_m: float
     resolution_m: float
+    is_exact: bool
 
 
 @register_segment_test(ContinuousTest)
@@ -73,6 +81,9 @@ def _continuous(test, first, second):  # type: ignore[no-untyped-def]
             height_m = body.half_thickness_m + margin_m + reach_m * slope
             level_m = level_clearance(test.arrays, body, pose, margin_m + reach_m, height_m)
             level_m -= margin_m
+            if level_m < reach_m and test.is_exact:
+                level_m = _exact_m(test, pose, reach_m)
+                free_m = max(free_m, level_m)
             if level_m < reach_m:
                 if reach_m <= test.resolution_m:
                     return False
@@ -86,6 +97,16 @@ def _continuous(test, first, second):  # type: ignore[no-untyped-def]
         reach_m = max(STEP_FACTOR * free_m, next_m, MIN_STEP_M)
 
 
+@kernel
+def _exact_m(test, pose, reach_m):  # type: ignore[no-untyped-def]
+    """Clearance beyond the margin: by bounding balls, else exact and capped at twice the reach."""
+    ball_m = clearance_of_pose(test.arrays, test.body, pose) - test.margin_m
+    if ball_m >= reach_m:
+        return ball_m
+    least_m, most_m = test.margin_m + reach_m, test.margin_m + max(2.0 * reach_m, MIN_STEP_M)
+    return exact_clearance(test.arrays, test.body, pose, least_m, most_m) - test.margin_m
+
+
 @inlined
 def _collides_at_sparse_poses(test, start, end, whole_m):  # type: ignore[no-untyped-def]
     """Return whether the body is surely unsafe at one of a few poses: most refused segments end here, at low cost."""
@@ -97,7 +118,7 @@ def _collides_at_sparse_poses(test, start, end, whole_m):  # type: ignore[no-unt
         if clearance_m >= test.margin_m:  # the poses within the remaining clearance are free as well
             index += 1 + int((clearance_m - test.margin_m) * (1 / PRECHECK_SPACING_M))
             continue
-        if is_surely_unsafe(test.arrays, test.body, pose):
+        if is_surely_unsafe(test.arrays, pose):
             return True
         index += 1
     return False

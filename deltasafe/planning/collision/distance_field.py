@@ -173,13 +173,19 @@ class DistanceField:
         distance: NDArray[np.uint8] = self.cache[key]
         return distance
 
-    @functools.cached_property
-    def coarse_clearance_m(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def coarse_clearance_m(self, reach_m: float = COARSE_REACH_M) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Lower bounds of the distance to unsafe voxels from any point of a cell, and from any upward ray.
 
         A cell is a block of ``stride`` voxels along each axis. Beyond ``REACH_M`` the bounds come from a distance
-        transform of the cells.
+        transform of the cells, which reaches up to ``reach_m``.
         """
+        key = ("coarse", reach_m)
+        if key not in self.cache:
+            self.cache[key] = self._coarse_clearance_m(reach_m)
+        bounds: tuple[NDArray[np.float32], NDArray[np.float32]] = self.cache[key]
+        return bounds
+
+    def _coarse_clearance_m(self, reach_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         lattice = self.arrays.lattice
         cell_m = lattice.stride * lattice.voxel_m
         bounds = []
@@ -187,7 +193,7 @@ class DistanceField:
             least = _block_minimum(squared, lattice.stride)
             near_m = np.sqrt(least, dtype=np.float32) * (lattice.voxel_m / 2 * ROUNDING)
             near_m -= lattice.voxel_m * math.sqrt(3) / 2 * (2 - ROUNDING)
-            far = squared_distance_to_voxels(least == 0, min(math.ceil(COARSE_REACH_M / cell_m), MAX_REACH))
+            far = squared_distance_to_voxels(least == 0, min(math.ceil(reach_m / cell_m), MAX_REACH))
             far_m = np.sqrt(far, dtype=np.float32) * (cell_m / 2 * ROUNDING) - cell_m * math.sqrt(3) / 2
             bounds.append(np.maximum(near_m, far_m))
         return bounds[0], bounds[1]

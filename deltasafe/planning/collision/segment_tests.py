@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import numbers
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +15,21 @@ from deltasafe.planning.collision.clearance_tables import clearance_tables_of, t
 from deltasafe.planning.collision.collision_arrays import collision_arrays_of
 from deltasafe.planning.collision.continuous import BY_YAW_M, ContinuousTest
 from deltasafe.planning.collision.discrete import ExactTest, SampledTest, StepParams
-from deltasafe.planning.collision.distance_field import DistanceField
+from deltasafe.planning.collision.distance_field import SLAB_REACH_M, DistanceField
+from deltasafe.planning.collision.exact_clearance import exact_clearance
 from deltasafe.planning.collision.scenario_samples import sample_pool
 from deltasafe.planning.collision.segment_query import as_pose, segment_passes
 from deltasafe.setting_ranges import check_choice, check_range
 
+FINEST_M = 0.00025
+"""Resolution of verifications. A search may use a coarser one, which refuses more."""
+
 METHODS = ("sampled", "exact", "continuous")
 MAX_SAMPLES = 16384
+MAX_MARGIN_M = 0.02
+MIN_REACH_M = 0.005
+"""Least length of the steps that horizontal distances must allow; discs that are too wide are measured exactly."""
+
 Array = NDArray[np.float64]
 
 
@@ -55,8 +62,7 @@ class CheckSettings:
 
     def __post_init__(self) -> None:
         check_choice(self, METHODS, "method")
-        if not (isinstance(self.n_samples, numbers.Integral) and 1 <= self.n_samples <= MAX_SAMPLES):
-            raise SettingsError(f"n_samples must be a whole number from 1 to {MAX_SAMPLES}, got {self.n_samples}")
+        check_range(self, f"[1, {MAX_SAMPLES}]", "n_samples")
         check_range(self, "[1e-5, 0.1]", "delta_p_m", "resolution_m")
 
 
@@ -70,20 +76,28 @@ def segment_test(
     margin_m: float,
     settings: CheckSettings | None = None,
     seed: int = 0,
+    is_exact: bool = False,
 ) -> SegmentTest:
     """Build the test of a body that keeps ``margin_m`` (gamma at the smallest speed) from the unsafe set.
 
+    Args:
+        is_exact: let the continuous test measure the exact distance before it refuses. It always does so for tools
+            that the tables of horizontal distances do not know: those with parts, and discs beyond their reach.
+
     Raises:
-        SettingsError: the margin is negative or beyond the reach of the field's distances.
+        SettingsError: the margin is negative or beyond the reach of the field's distances, or the method is not
+            continuous for a tool with parts.
     """
     settings = settings or CheckSettings()
-    if not (math.isfinite(margin_m) and 0 <= margin_m <= 0.02):
-        raise SettingsError(f"margin_m must be between 0 and 0.02 m, got {margin_m}")
+    if not (math.isfinite(margin_m) and 0 <= margin_m <= MAX_MARGIN_M):
+        raise SettingsError(f"margin_m must be between 0 and {MAX_MARGIN_M} m, got {margin_m}")
     is_continuous = settings.method == "continuous"
+    if body.parts and not is_continuous:
+        raise SettingsError(f"method must be continuous for a tool with parts, got {settings.method!r}")
     between_m = 0.0 if is_continuous else settings.delta_p_m / 2
     needed_m = float(margin_m) + between_m
     by_yaw_m = margin_m + (BY_YAW_M if is_continuous else between_m)
-    tables = clearance_tables_of(field, body, by_yaw_m if settings.by_yaw else None)
+    tables = clearance_tables_of(field, body, by_yaw_m if settings.by_yaw and not body.parts else None)
     steps = StepParams(body.rho_max_m, needed_m, settings.delta_p_m, settings.use_clearance_tables)
     if settings.method == "sampled":
         pool = sample_pool(field, body, needed_m, settings.n_samples, settings.redraw_samples, seed)
@@ -91,7 +105,13 @@ def segment_test(
     arrays = collision_arrays_of(field, body, needed_m)
     if settings.method == "exact":
         return ExactTest(tables, arrays, body.params, steps)
-    return ContinuousTest(tables, arrays, body.params, float(margin_m), settings.resolution_m)
+    is_exact |= margin_m + arrays.max_circle_radius_m + MIN_REACH_M > SLAB_REACH_M
+    return ContinuousTest(tables, arrays, body.params, float(margin_m), settings.resolution_m, is_exact)
+
+
+def verification_test(field: DistanceField, body: ToolBody, margin_m: float) -> SegmentTest:
+    """Build the test that verifies paths, for planner and schedule alike: exact, at the finest resolution."""
+    return segment_test(field, body, margin_m, CheckSettings(resolution_m=FINEST_M), is_exact=True)
 
 
 def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
@@ -104,8 +124,11 @@ def is_segment_safe(test: SegmentTest, start: Array, end: Array) -> bool:
     return bool(segment_passes(test, ends[0], ends[1]))
 
 
-def body_clearance_m(test: SegmentTest, poses: Array) -> Array:
+def body_clearance_m(test: SegmentTest, poses: Array, exact_below_m: float = 0.0) -> Array:
     """Lower bound d_o (N,) of the distance of the body to the unsafe set, table included, at poses (N, 4).
+
+    Args:
+        exact_below_m: bounds below this are replaced by the exact distance to the voxels, which is slower.
 
     Raises:
         SettingsError: the test is a sampled one, which has no distances; or a pose is not finite, or farther than
@@ -113,13 +136,17 @@ def body_clearance_m(test: SegmentTest, poses: Array) -> Array:
     """
     if isinstance(test, SampledTest):
         raise SettingsError("method sampled has no clearances; make the test with method exact or continuous")
-    return np.asarray(_clearances(test.tables, test.arrays, test.body, as_rows(poses, 4, "poses")))
+    poses = as_rows(poses, 4, "poses")
+    return np.asarray(_clearances(test.tables, test.arrays, test.body, poses, float(exact_below_m)))
 
 
 @compiled
-def _clearances(tables, arrays, body, poses):  # type: ignore[no-untyped-def]
+def _clearances(tables, arrays, body, poses, exact_m):  # type: ignore[no-untyped-def]
+    """Clearances (N,); those below ``exact_m`` are measured exactly."""
     clearance_m = np.empty(len(poses))
     for n in range(len(poses)):
         pose = as_pose(poses[n])
         clearance_m[n] = max(clearance_of_pose(arrays, body, pose), table_clearance_m(tables, pose))
+        if clearance_m[n] < exact_m:
+            clearance_m[n] = max(clearance_m[n], exact_clearance(arrays, body, pose, 0.0, exact_m))
     return clearance_m

@@ -40,7 +40,8 @@ def refine_path(
 
     Half of the steps cut between two random places on the path. The others move a vertex: toward the line between its
     neighbors, or by a Gaussian step whose width shrinks as steps or time run out. Finally, needless vertices are
-    removed and corners that almost coincide are merged, which may cost up to 0.2 % each. A path of more than 62
+    removed and corners that almost coincide are merged, which may cost up to 0.2 % each. The path stays within the
+    bounds if it lies there. A path of more than 62
     vertices is returned unchanged.
 
     Args:
@@ -79,6 +80,8 @@ def _merge_vertices(problem: SearchProblem, poses: Array) -> Array:
         best, best_cost = None, path_cost(problem.cost, poses) * (1 + MERGE_COST_FRACTION)
         for candidate in _with_vertex_removed(problem, poses, n):
             if len(candidate) == len(poses) or path_cost(problem.cost, candidate) > best_cost:
+                continue
+            if not ((candidate >= problem.lower) & (candidate <= problem.upper)).all():
                 continue
             changed = candidate[max(n - 1, 0) : min(n + 1, len(candidate) - 1) + 1]
             if all(segment_passes(problem.constraint, a, b) for a, b in itertools.pairwise(changed)):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from deltasafe.compute.numba_cache import compiled
 from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.geometry import MAX_DURATION_S, PosePath, Trajectory
 from deltasafe.planning.body import ToolBody
@@ -19,8 +20,9 @@ from deltasafe.planning.collision.segment_tests import (
     body_clearance_m,
     is_segment_safe,
     segment_test,
+    verification_test,
 )
-from deltasafe.planning.timing.corner_blending import SmoothPath, blend_corners
+from deltasafe.planning.timing.corner_blending import SmoothPath, blend_corners, without_repeats
 from deltasafe.planning.tracking_bound import TrackingBound, tracking_of
 from deltasafe.setting_ranges import check_range
 
@@ -28,6 +30,16 @@ Array = NDArray[np.float64]
 CHORD_TOLERANCE_M = 0.00005
 MIN_SPACING_M = 1e-5
 MAX_RATE_HZ = 1e5
+RESERVE_M = 0.001
+"""Default of ``PlannerSettings.reserve_m``, by which the planner's margin exceeds that of the schedule."""
+
+SAMPLE_TOLERANCE_M = 1e-5
+"""Straight lines between samples leave the path by at most this; controllers interpolate between samples."""
+
+MAX_ROUNDS = 6
+"""Local corrections of the acceleration; what little remains is removed by slowing the whole motion down."""
+
+LEAST_FINENESS = 0.1
 NORMAL_FRACTION = 0.8
 """Largest fraction of the acceleration that may be normal to the path; at least 0.6 of it is left for the tangent."""
 
@@ -42,11 +54,13 @@ class VelocitySettings:
     Attributes:
         v_min_mps: smallest speed; a path that does not allow it everywhere is refused.
         v_max_mps: largest speed.
-        acceleration_mps2: largest acceleration, tangential and normal parts together.
+        acceleration_mps2: largest acceleration, tangential and normal parts together, of any point within rho_max of
+            the yaw axis; also of the arc length, so that the yaw acceleration is at most this over sqrt(r).
         yaw_rate_radps: largest yaw rate.
         blend_reach_m: corners are blended over at most this distance before and after them.
         spacing_m: resolution of the schedule; the limits hold in between as well.
-        rate_hz: sampling rate of the trajectory and of the controller.
+        rate_hz: sampling rate of the trajectory and of the controller; at least sqrt(acceleration_mps2 / 8e-5 m), so
+            that straight lines between samples leave the path by at most 0.01 mm.
     """
 
     v_min_mps: float = 0.01
@@ -63,6 +77,12 @@ class VelocitySettings:
             raise SettingsError(
                 f"spacing_m must be at least {MIN_SPACING_M:g} m and rate_hz at most {MAX_RATE_HZ:g}, "
                 f"got {self.spacing_m} and {self.rate_hz}"
+            )
+        least_hz = math.sqrt(self.acceleration_mps2 / (8 * SAMPLE_TOLERANCE_M))
+        if self.rate_hz < least_hz:
+            raise SettingsError(
+                f"rate_hz must be at least {least_hz:.1f} at {self.acceleration_mps2} m/s^2, so that straight lines "
+                f"between samples leave the path by at most {1e3 * SAMPLE_TOLERANCE_M} mm, got {self.rate_hz}"
             )
         if self.v_max_mps < self.v_min_mps:
             raise SettingsError(f"v_max_mps must be at least v_min_mps {self.v_min_mps}, got {self.v_max_mps}")
@@ -121,22 +141,28 @@ def schedule(
         rotation_weight_m2 = float(getattr(settings, "rotation_weight_m2", 0.01))
     _require_weight(rotation_weight_m2)
     margin_m = float(tracking.error_m(settings.v_min_mps))
-    test = segment_test(field, body, margin_m, CheckSettings())
-    if len(path) == 1:
+    reserve_m = float(getattr(settings, "reserve_m", RESERVE_M))
+    test = verification_test(field, body, margin_m)
+    _verify(test, path.poses, margin_m, body.rho_max_m, lambda: verification_test(field, body, margin_m + reserve_m))
+    if _stands_still(path, rotation_weight_m2):
         return _standstill(path, test, margin_m, settings, tracking)
-    _verify(test, path.poses, margin_m, body.rho_max_m)
+    # lengths along the path are those of the arc length, in which yaw may count less than in the motion of the tool
+    fineness = min(1.0, math.sqrt(rotation_weight_m2) / body.rho_max_m)
     # the trajectory follows the arcs, but the test their chords: the margin includes the difference
     arc_test = segment_test(field, body, margin_m + CHORD_TOLERANCE_M, CheckSettings())
     curve = blend_corners(
         path.poses,
         rotation_weight_m2,
         settings.blend_reach_m,
-        settings.spacing_m,
+        settings.spacing_m * max(fineness, LEAST_FINENESS),
         lambda arc: all(is_segment_safe(arc_test, a, b) for a, b in itertools.pairwise(arc)),
-        CHORD_TOLERANCE_M,
+        CHORD_TOLERANCE_M * fineness,
     )
     motion_m = _motion(curve.poses, body.rho_max_m)
-    clearance_m = np.maximum(_lipschitz(body_clearance_m(test, curve.poses), motion_m), margin_m)
+    # the balls that bound a part are too loose for its speed
+    exact_below_m = float(tracking.error_m(settings.v_max_mps)) if body.parts else 0.0
+    known_m = body_clearance_m(test, curve.poses, exact_below_m)
+    clearance_m = np.maximum(_lipschitz(known_m, motion_m), margin_m)
     allowed_mps = np.clip(tracking.speed_mps(clearance_m), settings.v_min_mps, settings.v_max_mps)
     # between two poses, the clearance falls by at most the motion to the nearer one, and is verified to keep the margin
     lowest_m = np.maximum((clearance_m[:-1] + clearance_m[1:] - motion_m) / 2, margin_m)
@@ -165,11 +191,11 @@ def schedule_at_top_speed(
         is_safe: test of the arc of a blended corner, given by poses (M, 4) along it.
 
     Raises:
-        SettingsError: a path of a single pose, or a weight that is not positive and finite.
+        SettingsError: a path without motion, or a weight that is not positive and finite.
     """
     _require_weight(rotation_weight_m2)
-    if len(path) == 1:
-        raise SettingsError("a path of a single pose has no top speed")
+    if _stands_still(path, rotation_weight_m2):
+        raise SettingsError("a path without motion has no top speed")
     curve = blend_corners(
         path.poses, rotation_weight_m2, settings.blend_reach_m, settings.spacing_m, is_safe, CHORD_TOLERANCE_M
     )
@@ -192,14 +218,44 @@ def _rates(curve: SmoothPath, cell_mps: Array, settings: VelocitySettings, rho_m
     curvature = curve.curvature * (1 + ROUNDING)
     limit = np.minimum(limit, NORMAL_FRACTION * settings.acceleration_mps2 / np.maximum(curvature, 1e-9))
     tangential = np.sqrt(settings.acceleration_mps2**2 - (curvature * limit) ** 2)
-    squared = np.minimum(np.append(limit, np.inf), np.append(np.inf, limit))
-    squared[list(curve.stops)] = 0.0
     gain = 2 * tangential * np.diff(curve.arc_length) * (1 - ROUNDING)
+    for _ in range(MAX_ROUNDS):
+        squared = _reachable(limit, gain, np.array(curve.stops))
+        excess = _acceleration(curve, squared, rho_max_m) / settings.acceleration_mps2
+        over = (excess > 1 + ROUNDING) & (turning > 0)  # without rotation, the limits above are exact
+        if not over.any():
+            return np.sqrt(squared)
+        limit[over] *= (1 - ROUNDING) / excess[over]
+        gain[over] *= (1 - ROUNDING) / excess[over]
+    return np.sqrt(squared / excess[over].max())
+
+
+@compiled
+def _reachable(limit, gain, stops):  # type: ignore[no-untyped-def]
+    """Largest squared rates (N,) within the limits (N - 1,) that change by at most ``gain`` in each cell."""
+    squared = np.empty(len(limit) + 1)
+    squared[0], squared[-1] = limit[0], limit[-1]
+    squared[1:-1] = np.minimum(limit[:-1], limit[1:])
+    squared[stops] = 0.0
     for n in range(len(gain)):
         squared[n + 1] = min(squared[n + 1], squared[n] + gain[n])
     for n in range(len(gain) - 1, -1, -1):
         squared[n] = min(squared[n], squared[n + 1] + gain[n])
-    return np.sqrt(squared)
+    return squared
+
+
+def _acceleration(curve: SmoothPath, squared: Array, rho_max_m: float) -> Array:
+    """Largest acceleration (N - 1,) in each cell of any point at most ``rho_max_m`` from the yaw axis, in m/s^2.
+
+    With the squared rate s and its half derivative a, the pose accelerates by bend s + slope a. A point off the axis
+    adds the tangential part rho phi'' and the centripetal part rho phi'^2, in the plane.
+    """
+    tangential = (np.diff(squared) / (2 * np.diff(curve.arc_length)))[:, None, None]
+    slope = np.stack([curve.slope_after[:-1], curve.slope_before[1:]], axis=1)
+    rate = np.stack([squared[:-1], squared[1:]], axis=1)[:, :, None]
+    pose = curve.bend * rate + slope * tangential
+    turn = rho_max_m * np.hypot(pose[..., 3], slope[..., 3] ** 2 * rate[..., 0])
+    return np.asarray(np.hypot(np.hypot(pose[..., 0], pose[..., 1]) + turn, pose[..., 2]).max(axis=1))
 
 
 def _sample(curve: SmoothPath, rate: Array, settings: VelocitySettings) -> Trajectory:
@@ -225,26 +281,37 @@ def _sample(curve: SmoothPath, rate: Array, settings: VelocitySettings) -> Traje
     return Trajectory(time_s, poses, slopes * sample_rate[:, None])
 
 
+def _stands_still(path: PosePath, rotation_weight_m2: float) -> bool:
+    return len(without_repeats(path.poses * [1.0, 1.0, 1.0, math.sqrt(rotation_weight_m2)])) == 1
+
+
 def _standstill(
     path: PosePath, test: SegmentTest, margin_m: float, settings: VelocitySettings, tracking: TrackingBound
 ) -> tuple[Trajectory, SpeedProfile]:
-    clearance_m = body_clearance_m(test, path.poses)
-    if clearance_m[0] < margin_m:
-        raise PlanningError(_too_close(0.0, path.poses[0], float(clearance_m[0]), margin_m))
+    poses = path.poses[:1]
+    clearance_m = np.maximum(body_clearance_m(test, poses), margin_m)
     allowed_mps = np.clip(tracking.speed_mps(clearance_m), settings.v_min_mps, settings.v_max_mps)
     still = np.zeros(1)
     return (
-        Trajectory(still, path.poses, np.zeros((1, 4))),
-        SpeedProfile(still, clearance_m, allowed_mps, still, path.poses),
+        Trajectory(still, poses, np.zeros((1, 4))),
+        SpeedProfile(still, clearance_m, allowed_mps, still, poses),
     )
 
 
-def _verify(test: SegmentTest, poses: Array, margin_m: float, rho_max_m: float) -> None:
-    """Test whole edges, as the planner does: a conservative test may refuse pieces of an edge that it accepts."""
+def _verify(
+    test: SegmentTest, poses: Array, margin_m: float, rho_max_m: float, planners_test: Callable[[], SegmentTest]
+) -> None:
+    """Test whole edges, as the planner does: a conservative test may refuse pieces of an edge that it accepts.
+
+    For the same reason, an edge that is refused is tested with the planner's margin as well.
+    """
     arc_length_m = 0.0
-    for a, b in itertools.pairwise(poses):
+    for a, b in itertools.pairwise(poses if len(poses) > 1 else poses[[0, 0]]):
         leg_m = float(np.linalg.norm((b - a)[:3]))
         if not is_segment_safe(test, a, b):
+            if is_segment_safe(planners_test(), a, b):
+                arc_length_m += leg_m
+                continue
             fractions = np.linspace(0.0, 1.0, 2 + int(_motion(np.array([a, b]), rho_max_m)[0] / 0.0005))
             on_edge = a + fractions[:, None] * (b - a)
             clearance_m = body_clearance_m(test, on_edge)

@@ -12,6 +12,7 @@ from deltasafe.errors import SettingsError
 from deltasafe.execution.distance import MeshDistance
 from deltasafe.planning.audit import body_points
 from deltasafe.planning.body import ToolBody
+from deltasafe.planning.parts import ToolPart
 from tests.unit.execution.conftest import ball
 
 BODY = ToolBody()
@@ -40,6 +41,26 @@ def test_tool_distance_agrees_with_brute_force(seed, height):
     # the points of the brute force are at most 2 mm apart: it is never below, and above by the lateral offset at most
     assert distance <= brute + 1e-6
     assert brute <= math.hypot(distance, 0.002) + 3e-4
+
+
+PARTS = [
+    ToolPart("sphere", 0.01, 0, 0.02, radius_m=0.02),
+    ToolPart("capsule", 0, 0.01, 0, 0.02, 0.03, -0.01, 0.005),
+    ToolPart("box", 0, -0.01, 0.01, 0.04, 0.01, 0.02, yaw_rad=0.7),
+    ToolPart("disc", 0.01, 0, 0, 0.03, 0.01, 0.004, 0.003, 0.5),
+]
+
+
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.kind)
+def test_distance_of_parts_to_a_small_mesh_is_that_of_its_points(part):
+    """Of a triangle of 2 um, the distance is that of a point, which the part computes by another formula."""
+    body = ToolBody(shaft_length_m=0.0, parts=(part,))
+    mesh = MeshDistance(1e-6 * np.eye(3), np.array([[0, 1, 2]]))
+    rng = np.random.default_rng(2)
+    for _ in range(30):
+        position, rotation = rng.normal(size=3) * 0.06, Rotation.random(rng=rng).as_matrix()
+        expected = part.distance_m((-position @ rotation)[None])[0]
+        assert mesh.to_tool(body, position, rotation) == pytest.approx(expected if expected > 1e-5 else 0.0, abs=1.2e-5)
 
 
 def test_distance_to_a_triangle_in_closed_form():

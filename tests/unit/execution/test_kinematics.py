@@ -48,6 +48,20 @@ def test_a_pose_out_of_reach_is_named():
         KINEMATICS.inverse(np.array([[0, -0.9, 0.03, 0]]))
 
 
+def test_wrist_straight_above_the_shoulder_is_refused():
+    above = np.array([[0.0, 0.65, 0.8, 0.0]])
+    for path in (above, np.concatenate([above + 0.2 * np.eye(4)[:1], above])):
+        with pytest.raises(PlanningError, match="above or below the shoulder"):
+            KINEMATICS.inverse(path)
+
+
+def test_tool_without_symmetry_is_not_turned_by_half_a_turn():
+    kinematics = IiwaKinematics(ArmMount(), 0.25, is_symmetric=False)
+    for yaw in (-1.2, -0.4, 0.3, 0.9):
+        rotation = tool_pose(kinematics.inverse(np.array([[0.05, 0.02, 0.1, yaw]]))[0], 0.25)[1]
+        assert math.atan2(rotation[1, 0], rotation[0, 0]) == pytest.approx(yaw, abs=1e-7)
+
+
 def test_two_full_turns_exceed_a_joint_limit():
     path = np.zeros((400, 4))
     path[:, 2], path[:, 3] = 0.1, np.linspace(0, 4 * math.pi, 400)

@@ -18,10 +18,12 @@ from deltasafe.planning import (
     PlannerSettings,
     PlanStatus,
     ToolBody,
+    ToolPart,
     TrackingBound,
     plan,
     plan_motion,
     schedule,
+    verify_motion,
 )
 from deltasafe.presets import PRESETS
 from deltasafe.scene import Cuboid, OccupancyGrid, grid_from_shapes
@@ -93,6 +95,28 @@ def test_settings_with_a_tool_survive_json() -> None:
     settings = MotionSettings(gamma0_m=0.002, body=ToolBody(0.02, 0.01))
     assert from_json(MotionSettings, json.loads(json.dumps(dataclasses.asdict(settings)))) == settings
     assert (settings.tracking.gamma0_m, settings.body.semi_axis_x_m) == (0.002, 0.02)
+
+
+GRIPPER = ToolBody(
+    parts=(
+        ToolPart("box", z_m=0.06, half_x_m=0.035, half_y_m=0.015, half_z_m=0.02),
+        ToolPart("box", x_m=-0.03, z_m=0.02, half_x_m=0.004, half_y_m=0.008, half_z_m=0.02),
+        ToolPart("capsule", x_m=0.03, z_m=0.02, half_z_m=0.016, radius_m=0.004),
+    )
+)
+
+
+def test_gripper_is_planned_audited_stored_and_configured(grid: OccupancyGrid, tmp_path: pathlib.Path) -> None:
+    settings = MotionSettings(n_iterations=500, body=GRIPPER)
+    motion = plan_motion(grid, START, GOAL, settings, 3)
+    assert motion.is_safe, motion.reason
+    assert verify_motion(motion, grid).is_safe
+    motion.save(tmp_path / "motion")
+    assert PlannedMotion.load(tmp_path / "motion").settings == settings
+    obstacle = ToolBody(parts=(ToolPart("sphere", z_m=-0.01, radius_m=0.002), *GRIPPER.parts))
+    assert plan_motion(grid, START, GOAL, dataclasses.replace(settings, body=obstacle), 3).is_safe
+    low = plan_motion(grid, Pose(-0.14, 0, 0.011), GOAL, dataclasses.replace(settings, body=obstacle), 3)
+    assert low.result.status is PlanStatus.START_UNSAFE  # the sphere would touch the table
 
 
 def test_default_settings_equal_the_default_preset() -> None:

@@ -91,7 +91,7 @@ def test_coarse_clearance_is_a_lower_bound_for_all_voxels_of_a_cell() -> None:
     field = DistanceField.build(grid, 0.5)
     arrays = field.arrays
     index = np.argwhere(arrays.squared_distance > 0)
-    for bound_m, squared in zip(field.coarse_clearance_m, arrays[:2], strict=True):
+    for bound_m, squared in zip(field.coarse_clearance_m(), arrays[:2], strict=True):
         bounds = bound_m[tuple((index // arrays.lattice.stride).T)]
         exact_m = np.sqrt(squared[tuple(index.T)]) * 0.00125
         capped = squared == squared.max()
@@ -112,7 +112,7 @@ def test_distances_grow_with_delta(seed: int, one: float, other: float) -> None:
     grid = OccupancyGrid((rng.random((8, 8, 6)) ** 4).astype(np.float32), np.zeros(3), 0.01)
     low, high = (DistanceField.build(grid, delta) for delta in sorted((one, other)))
     for of_low, of_high in zip(
-        (*low.arrays[:2], *low.coarse_clearance_m), (*high.arrays[:2], *high.coarse_clearance_m), strict=True
+        (*low.arrays[:2], *low.coarse_clearance_m()), (*high.arrays[:2], *high.coarse_clearance_m()), strict=True
     ):
         assert (of_low <= of_high).all()
 
@@ -140,3 +140,14 @@ def test_delta_outside_0_1_is_refused(delta: float) -> None:
     grid = OccupancyGrid(np.zeros((2, 2, 2), np.float32), np.zeros(3), 0.01)
     with pytest.raises(SettingsError, match="delta"):
         DistanceField.build(grid, delta)
+
+
+def test_probability_equal_to_delta_is_free_and_the_next_larger_one_is_not() -> None:
+    """The comparison of the stored single-precision value with delta is exact."""
+    for delta in (0.05, 0.1, 0.25, 0.3):
+        stored = np.float32(delta)
+        below, above = np.nextafter(stored, np.float32(0)), np.nextafter(stored, np.float32(1))
+        for p, unsafe in ((below, False), (stored, float(stored) > delta), (above, True)):
+            grid = OccupancyGrid(np.full((3, 3, 3), p, np.float32), np.zeros(3), 0.01)
+            inner = DistanceField.build(grid, delta).arrays.squared_distance[1:-1, 1:-1, 0]
+            assert ((inner == 0) == unsafe).all()

@@ -31,6 +31,16 @@ LIMITS = VelocitySettings()
 BODY = ToolBody()
 
 
+def fastest_acceleration(trajectory: Trajectory, rho_max_m: float = BODY.rho_max_m) -> np.ndarray:
+    """Largest acceleration of 64 points on a circle around the yaw axis, by finite differences of their velocities."""
+    around = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    angle = trajectory.poses[:, 3:] + around
+    across = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=-1)
+    velocity = trajectory.velocities[:, None, :3] + rho_max_m * trajectory.velocities[:, 3, None, None] * across
+    gains = np.diff(velocity, axis=0) / np.diff(trajectory.time_s)[:, None, None]
+    return np.asarray(np.linalg.norm(gains, axis=2))
+
+
 def check_limits(trajectory: Trajectory, limits: VelocitySettings) -> None:
     """Assert rest at both ends, and limits of speed, yaw rate and acceleration, computed by finite differences."""
     assert (trajectory.velocities[[0, -1]] == 0).all()
@@ -38,8 +48,7 @@ def check_limits(trajectory: Trajectory, limits: VelocitySettings) -> None:
     speeds = np.linalg.norm(rates[:, :3], axis=1) + BODY.rho_max_m * np.abs(rates[:, 3])
     assert speeds.max() <= limits.v_max_mps * (1 + 1e-6)
     assert np.abs(rates[:, 3]).max() <= limits.yaw_rate_radps * (1 + 1e-6)
-    gains = np.diff(trajectory.velocities, axis=0) / np.diff(trajectory.time_s)[:, None]
-    assert np.linalg.norm(gains[:, :3], axis=1).max() <= limits.acceleration_mps2 * 1.01
+    assert fastest_acceleration(trajectory).max() <= limits.acceleration_mps2 * 1.002
     middle = (trajectory.velocities[1:] + trajectory.velocities[:-1]) / 2
     assert (np.abs(rates - middle) <= (2e-4, 2e-4, 2e-4, 2e-3)).all()
 
@@ -145,6 +154,67 @@ def test_motion_longer_than_a_day_is_refused() -> None:
     path = PosePath(np.array([[-0.2, 0, 0.1, 0], [0.2, 0, 0.1, 0]]))
     with pytest.raises(PlanningError, match="raise v_min_mps"):
         schedule(path, FREE, dataclasses.replace(LIMITS, v_min_mps=1e-9, v_max_mps=1e-9))
+
+
+@pytest.mark.parametrize("weight_m2", [1e-3, 0.01, 0.25])
+@pytest.mark.parametrize("semi_axis_m", [0.005, 0.03, 0.3])
+def test_acceleration_of_the_fastest_point_is_limited(weight_m2: float, semi_axis_m: float) -> None:
+    body = ToolBody(semi_axis_m, 0.005, shaft_radius_m=0.004)
+    poses = np.array([[-0.1, 0, 0.4, 0], [0.05, 0.02, 0.4, 0.6], [0.06, 0.1, 0.45, -0.4], [0.06, 0.1, 0.45, 0.9]])
+    field = DistanceField.build(OccupancyGrid(np.zeros((400, 400, 2), np.float32), np.array([-1, -1, 0]), 0.005), 0.05)
+    trajectory, _ = schedule(PosePath(poses), field, LIMITS, body, rotation_weight_m2=weight_m2)
+    reached = fastest_acceleration(trajectory, body.rho_max_m).max()
+    assert 0.45 * LIMITS.acceleration_mps2 <= reached <= LIMITS.acceleration_mps2 * 1.002
+
+
+def test_motion_without_path_length_is_a_standstill() -> None:
+    """Poses closer than 1e-9 m, any number of them."""
+    pose = np.array([0.1, 0.0, 0.1, 0.3])
+    for path in ([pose, pose], [pose] * 5, [pose, pose + 1e-11], [pose, pose + 1e-10 * np.eye(4)[3], pose]):
+        trajectory, profile = schedule(PosePath(np.array(path)), FREE, LIMITS)
+        assert (trajectory.duration_s, len(profile.poses)) == (0, 1)
+        with pytest.raises(SettingsError, match="without motion"):
+            schedule_at_top_speed(PosePath(np.array(path)), lambda arc: True, LIMITS)
+
+
+@pytest.mark.parametrize("spacing_m", [1e-6, 1e-4, 3e-4, 0.002])
+def test_dense_way_points_do_not_slow_the_motion_down(spacing_m: float) -> None:
+    """A line of 0.1 m, and a quarter circle of 0.1 m radius, with any spacing of the way-points."""
+    count = max(2, min(round(0.1 / spacing_m), 4000))
+    line = np.linspace([-0.05, 0, 0.1, 0], [0.05, 0, 0.1, 0.3], count + 1)
+    trajectory, _ = schedule(PosePath(line), FREE, LIMITS)
+    whole, _ = schedule(PosePath(line[[0, -1]]), FREE, LIMITS)
+    assert trajectory.duration_s == pytest.approx(whole.duration_s, rel=0.02)
+    angle = np.linspace(0, np.pi / 2, count + 1)
+    circle = np.column_stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), 0 * angle + 0.1, 0 * angle])
+    trajectory, profile = schedule(PosePath(circle), FREE, LIMITS)
+    check_limits(trajectory, LIMITS)
+    assert trajectory.duration_s < 2.0
+    assert np.abs(np.hypot(profile.poses[:, 0], profile.poses[:, 1]) - 0.1).max() < 0.0003
+
+
+def test_way_points_that_turn_back_are_kept() -> None:
+    there = np.linspace([0, 0, 0.1, 0], [0.02, 0, 0.1, 0], 101)
+    trajectory, _ = schedule(PosePath(np.concatenate([there, there[::-1]])), FREE, LIMITS)
+    assert trajectory.poses[:, 0].max() == pytest.approx(0.02, abs=1e-4)
+    assert trajectory.poses[-1, 0] == pytest.approx(0, abs=1e-12)
+
+
+def test_rate_that_cannot_represent_the_path_is_refused() -> None:
+    """dt^2 a / 8 is the largest distance of a line between two samples from a path of acceleration a."""
+    for acceleration_mps2 in (0.1, 0.5, 5.0):
+        least_hz = (acceleration_mps2 / 8e-5) ** 0.5
+        with pytest.raises(SettingsError, match="rate_hz must be at least"):
+            VelocitySettings(acceleration_mps2=acceleration_mps2, rate_hz=0.99 * least_hz)
+        slow = VelocitySettings(acceleration_mps2=acceleration_mps2, rate_hz=1.01 * least_hz)
+        corner = np.array([[0, 0, 0.1, 0], [0.1, 0, 0.1, 0.5], [0.1, 0.1, 0.1, 0]])
+        coarse = schedule(PosePath(corner), FREE, slow)[0]
+        fine = schedule(PosePath(corner), FREE, dataclasses.replace(slow, rate_hz=1e4))[0]
+        between = [
+            np.interp(fine.time_s * coarse.duration_s / fine.duration_s, coarse.time_s, c) for c in coarse.poses.T
+        ]
+        off = np.abs(np.stack(between, axis=1) - fine.poses)
+        assert (off[:, :3].max(axis=1) + BODY.rho_max_m * off[:, 3]).max() <= 2e-5
 
 
 @pytest.mark.parametrize("changes", [{"spacing_m": 1e-300}, {"rate_hz": 1e300}])
