@@ -112,12 +112,27 @@ def _sign(options: argparse.Namespace) -> None:
     print(f"{sign_artifact(options.folder, options.key)}: keep it beside the folder, and distribute both")
 
 
+def _require_other_place(destination: pathlib.Path, *inputs: pathlib.Path) -> None:
+    """Refuse to write over an input, or into a folder that is one.
+
+    Raises:
+        DataError: names the destination.
+    """
+    place = destination.resolve()
+    for given in inputs:
+        is_same = place.exists() and given.exists() and place.samefile(given)  # a link, too
+        if is_same or place.is_relative_to(given.resolve()):
+            raise DataError(destination, f"is part of the input {given}; give another file to write")
+
+
 def _export(options: argparse.Namespace) -> None:
     from deltasafe.execution import Execution
     from deltasafe.interchange import export_execution, export_scene
     from deltasafe.scene import LoggedScene
 
     folder, log = options.folder, options.log
+    if log.suffix.lower() != ".mcap":
+        raise DataError(log, "must end in .mcap")
     if (folder / "execution.json").is_file():
         scene = None if options.scene is None else LoggedScene.load(options.scene)
         export_execution(Execution.load(folder), log, scene)
@@ -166,8 +181,10 @@ def _predict(options: argparse.Namespace) -> None:
     output = options.output or pathlib.Path(f"{options.image.stem}.p_occupied.png")
     if output.suffix.lower() != ".png":
         raise DataError(output, "must end in .png")
-    p_occupied = load_ensemble(options.folder).p_occupied(rgb)
     values = output.with_name(f"{output.stem}.16bit.png")
+    for destination in (output, values):
+        _require_other_place(destination, options.image, options.folder)
+    p_occupied = load_ensemble(options.folder).p_occupied(rgb)
     for destination, pixels in (
         (output, occupancy_overlay(rgb, p_occupied, delta)[..., ::-1]),
         (values, np.round(p_occupied * 65535).astype(np.uint16)),

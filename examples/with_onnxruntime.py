@@ -25,8 +25,11 @@ def verified(folder: pathlib.Path) -> dict[str, Any]:
     if not (folder / "manifest.json").is_file():
         raise ArtifactError(f"{folder}: is not the folder of a frozen ensemble (manifest.json is missing)")
     content = (folder / "manifest.json").read_bytes()
-    if folder.resolve().name != f"ensemble-{hashlib.sha256(content).hexdigest()[:16]}":
-        raise ArtifactError(f"{folder / 'manifest.json'}: was altered, or the folder was renamed; download it again")
+    if folder.resolve().name != (name := f"ensemble-{hashlib.sha256(content).hexdigest()[:16]}"):
+        raise ArtifactError(
+            f"{folder / 'manifest.json'}: was altered, or the folder was renamed; rename it to {name} if that is all, "
+            "otherwise download it again"
+        )
     manifest: dict[str, Any] = json.loads(content)
     for name, digest in manifest["files"].items():
         if not (folder / name).is_file():
@@ -73,6 +76,18 @@ class HandEnsemble:
         return np.asarray(sigmoid(full).mean(axis=0))
 
 
+def read_rgb(path: pathlib.Path) -> np.ndarray:
+    """Read an image as uint8 (H, W, 3), upright; refuse what cannot be converted without a decision."""
+    with Image.open(path) as picture:
+        upright = ImageOps.exif_transpose(picture)
+    if upright.mode not in ("RGB", "L", "1", "P", "RGBA", "LA", "CMYK", "YCbCr"):  # convert() clips 16 bits to white
+        raise ArtifactError(f"{path}: has the mode {upright.mode}; convert it to 8 bits per channel")
+    rgba = upright.convert("RGBA")
+    if rgba.getextrema()[3][0] < 255:
+        raise ArtifactError(f"{path}: is partly transparent; save it without transparency")
+    return np.asarray(upright.convert("RGB"))
+
+
 def area(size: int, target: int) -> np.ndarray:
     """Weights (target, size) that average the pixels covered by each new pixel."""
     edge, pixel = np.arange(target + 1) * size / target, np.arange(size)
@@ -98,8 +113,7 @@ def main() -> None:
     options = parser.parse_args()
 
     ensemble = HandEnsemble(options.ensemble)
-    with Image.open(options.image) as picture:
-        p_occupied = ensemble.p_occupied(np.asarray(ImageOps.exif_transpose(picture).convert("RGB")))
+    p_occupied = ensemble.p_occupied(read_rgb(options.image))
 
     np.save(options.output, p_occupied)
     print(f"{options.ensemble.name}: intact, golden image reproduced within {ensemble.golden_difference:.0e}")

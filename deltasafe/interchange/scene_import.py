@@ -85,13 +85,16 @@ def import_scene(
 
     Raises:
         DataError: the log is damaged; it lacks something that no option gives; its frames, sizes or rotations
-            contradict each other; or a task pose is not upright.
+            contradict each other; or a task pose is not upright. Or ``folder`` exists and is no scene.
         SettingsError: the package mcap or rosbags is not installed.
     """
-    options = options or ImportOptions()
+    options, folder = options or ImportOptions(), pathlib.Path(folder)
+    is_scene, is_empty = (folder / "scene.json").is_file(), folder.is_dir() and not any(folder.iterdir())
+    if folder.exists() and not (is_scene or is_empty):
+        raise DataError(folder, "exists and is no scene, which would be replaced; give another folder")
     log = read_log(source, options.image_after_s)
     try:
-        return _Import(log, options).write(pathlib.Path(folder))
+        return _Import(log, options).write(folder)
     except DataError:
         raise
     except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:

@@ -20,8 +20,8 @@ from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disj
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.inference.predictions import MemberPredictions
 from deltasafe.perception.settings import EVALUATION_PIXELS, InferenceSettings
+from deltasafe.perception.training.device import pick_device
 from deltasafe.perception.training.member import Member
-from deltasafe.perception.training.train_member import pick_device
 
 _RECORD = "judged.json"
 

@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 import deltasafe
 from deltasafe import ArtifactError, PlannedMotion, load_ensemble, perception
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.io.images import read_rgb
 from deltasafe.perception.artifact.frozen_ensemble import write_frozen_ensemble
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
@@ -133,6 +135,35 @@ def test_onnxruntime_example_verifies_every_file(numpy_alone, frozen, copy):
     numpy_alone.HandEnsemble(copy)
     with pytest.raises(numpy_alone.ArtifactError, match="renamed"):
         numpy_alone.HandEnsemble(copy.rename(copy.with_name("ensemble-0123456789abcdef")))
+
+
+def test_renamed_folder_is_loaded_after_the_remedy_of_the_message(numpy_alone, copy):
+    """A browser renames a second download."""
+    browser = copy.rename(copy.with_name(f"{copy.name} (1)"))
+    with pytest.raises(numpy_alone.ArtifactError) as caught:
+        numpy_alone.HandEnsemble(browser)
+    numpy_alone.HandEnsemble(browser.rename(browser.with_name(str(caught.value).split("rename it to ")[1].split()[0])))
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+@pytest.mark.parametrize("mode", ["RGB", "L", "P", "RGBA"])
+def test_onnxruntime_example_reads_images_as_the_library_does(numpy_alone, tmp_path, mode, orientation):
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(image(12, 20, seed=4)).convert(mode).save(tmp_path / "x.png", exif=exif)
+    np.testing.assert_array_equal(numpy_alone.read_rgb(tmp_path / "x.png"), read_rgb(tmp_path / "x.png"))
+
+
+@pytest.mark.parametrize("kind", ["16 bits", "32 bits", "floats", "transparent"])
+def test_onnxruntime_example_refuses_what_it_would_read_wrong(numpy_alone, tmp_path, kind):
+    gray = image(12, 20, seed=4)[..., 0]
+    pixels = {"16 bits": gray.astype(np.uint16) * 257, "32 bits": gray.astype(np.int32), "floats": gray / np.float32(9)}
+    picture = Image.fromarray(pixels.get(kind, gray))
+    if kind == "transparent":
+        picture.putalpha(Image.fromarray(gray))
+    picture.save(tmp_path / "x.tif")
+    with pytest.raises(numpy_alone.ArtifactError, match=r"x\.tif: .*; (convert|save)"):
+        numpy_alone.read_rgb(tmp_path / "x.tif")
 
 
 def test_another_prediction_of_the_golden_image_is_refused(numpy_alone, frozen, monkeypatch):

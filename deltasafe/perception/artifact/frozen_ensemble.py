@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from deltasafe.errors import ArtifactError, DataError, SettingsError
 from deltasafe.io.arrays import read_npz
+from deltasafe.io.folder_entries import is_clutter
 from deltasafe.io.storage import atomic_file, atomic_folder, sha256_of_file, write_json
 from deltasafe.perception.artifact.manifest import (
     info_of_manifest,
@@ -147,7 +148,11 @@ def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
     manifest = load_manifest(folder)
     expected_name = artifact_name(folder)
     if folder.resolve().name.startswith("ensemble-") and folder.resolve().name != expected_name:
-        raise ArtifactError(folder, f"was altered: its manifest belongs to {expected_name}; pull the artifact again")
+        raise ArtifactError(
+            folder,
+            f"has another name than its manifest belongs to: rename it to {expected_name} if it was renamed or copied; "
+            "otherwise it was altered, pull the artifact again",
+        )
     for name, digest in manifest["files"].items():
         file = folder / name
         if not file.is_file():
@@ -160,7 +165,7 @@ def verify_artifact(folder: str | pathlib.Path) -> dict[str, Any]:
             raise ArtifactError(file, "was altered (its SHA-256 differs); pull the artifact again")
     for file in sorted(folder.iterdir()):
         if file.name not in {"manifest.json", *manifest["files"]}:
-            if not file.name.startswith("."):  # hidden files are left by desktops, and never read
+            if not is_clutter(file.name):
                 raise ArtifactError(file, "does not belong to the ensemble (its manifest does not list it); remove it")
         elif not file.resolve().is_relative_to(folder.resolve()):
             raise ArtifactError(file, "is a link out of the folder; copy the file itself (cp -L)")
@@ -174,13 +179,13 @@ def load_ensemble(folder: str | pathlib.Path, device: str = "cpu", backend: str 
         >>> p_occupied = load_ensemble("ensemble-0123456789abcdef").p_occupied(rgb)  # doctest: +SKIP
 
     Args:
-        device: ``cpu``, ``cuda``, ...
+        device: ``cpu``, ``cuda``, ``cuda:1``, ...; ``auto`` is the first CUDA device if there is one, else the CPU.
         backend: ``torch``, ``onnxruntime`` or ``openvino``, whose probabilities differ by at most 1e-4; ``auto`` is
             ONNX Runtime on a CPU if it is installed, else torch.
 
     Raises:
         ArtifactError: see `verify_artifact`, or the format of the artifact is too old for ``backend``.
-        SettingsError: ``backend`` is unknown, not installed, or does not run on ``device``.
+        SettingsError: ``device`` is not available, or ``backend`` is unknown, not installed, or does not run on it.
     """
     folder = pathlib.Path(folder)
     return FrozenEnsemble(folder, verify_artifact(folder), device, backend)

@@ -12,6 +12,7 @@ from deltasafe.perception.calibration.temperature import pooled_probability
 from deltasafe.perception.inference.backends import InferenceBackend, TorchBackend
 from deltasafe.perception.inference.lazy_backend import LazyBackend
 from deltasafe.perception.settings import InferenceSettings
+from deltasafe.perception.training.device import pick_device
 from deltasafe.perception.training.network import SegmentationNetwork
 
 
@@ -24,7 +25,7 @@ class Ensemble:
     Args:
         members: networks, at least one.
         settings: input resolution of the networks.
-        device: ``cpu``, ``cuda``, ...
+        device: see `pick_device`.
         temperature: divides the logit of the mean; 1 changes nothing.
     """
 
@@ -39,7 +40,7 @@ class Ensemble:
             raise SettingsError("an ensemble needs at least one member")
         self.settings = settings
         self.temperature = temperature
-        self.device = torch.device(device)
+        self.device = pick_device(device)
         self._lazy_backend = LazyBackend()
         self.members = nn.ModuleList(members).to(self.device).to(memory_format=torch.channels_last).eval()
 
@@ -56,7 +57,7 @@ class Ensemble:
             (H, W) float32 in [0, 1].
 
         Raises:
-            SettingsError: ``rgb`` has another shape or type.
+            SettingsError: ``rgb`` is no array of this shape and type.
         """
         return pooled_probability(self.member_p_occupied(rgb), self.temperature).astype(np.float32)
 
@@ -64,6 +65,9 @@ class Ensemble:
         """Predict p_occupied with each member, without the temperature: (H, W, 3) uint8 -> (M, H, W) float32.
 
         A member's p_occupied is its mean over the scales of the settings.
+
+        Raises:
+            SettingsError: ``rgb`` is no array of this shape and type.
         """
         predictions: NDArray[np.float32] = self._member_p_occupied(rgb).cpu().numpy()
         return predictions
@@ -78,6 +82,10 @@ class Ensemble:
 
     @torch.inference_mode()
     def _member_p_occupied(self, rgb: NDArray[np.uint8]) -> Tensor:
+        if not isinstance(rgb, np.ndarray):
+            found = f"{type(rgb).__module__}.{type(rgb).__qualname__}"
+            remedy = "read it with deltasafe.perception.read_rgb"
+            raise SettingsError(f"an image must be a numpy array, uint8 (H, W, 3), got {found}; {remedy}")
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or 0 in rgb.shape:
             raise SettingsError(f"an image must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
         scales, total = self.settings.scales, None

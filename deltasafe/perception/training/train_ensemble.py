@@ -12,8 +12,9 @@ from deltasafe.compute.executor import LOCAL, Executor, Needs, Task
 from deltasafe.errors import SettingsError
 from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.settings import TrainingSettings
+from deltasafe.perception.training.device import pick_device
 from deltasafe.perception.training.member import Member
-from deltasafe.perception.training.train_member import StepReport, pick_device, train_member, training_identity
+from deltasafe.perception.training.train_member import StepReport, train_member, training_identity
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,6 +22,7 @@ from deltasafe.perception.data.augmented_set import AugmentedSet
 from deltasafe.perception.data.loader import Batches
 from deltasafe.perception.settings import TrainingSettings
 from deltasafe.perception.training.checkpoint import Checkpoint
+from deltasafe.perception.training.device import pick_device
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.network import build_network, has_pretrained_weights
 from deltasafe.perception.training.precision import autocast_on_gpu, convert_to_low_precision, resolve_precision
@@ -53,13 +54,6 @@ def learning_rate(settings: TrainingSettings, step: int, steps_per_epoch: int) -
     if step < n_warmup:
         return settings.peak_learning_rate * (0.04 + 0.96 * (1 - math.cos(math.pi * (step + 1) / n_warmup)) / 2)
     return settings.peak_learning_rate * (1 + math.cos(math.pi * (step + 1 - n_warmup) / (n_steps - n_warmup + 1))) / 2
-
-
-def pick_device(name: str = "auto") -> torch.device:
-    """Return the device; ``auto`` is the first CUDA device if there is one, else the CPU."""
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    return torch.device(name)
 
 
 def training_identity(data: AugmentedSet, settings: TrainingSettings, seed: int | None = None) -> str:

@@ -24,9 +24,10 @@ from deltasafe.perception.evaluate_and_freeze import predict_images, read_labels
 from deltasafe.perception.inference.ensemble import Ensemble
 from deltasafe.perception.inference.predictions import MemberPredictions
 from deltasafe.perception.settings import InferenceSettings, TrainingSettings
+from deltasafe.perception.training.device import pick_device
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.train_ensemble import MemberJob, train_members
-from deltasafe.perception.training.train_member import StepReport, pick_device, training_identity
+from deltasafe.perception.training.train_member import StepReport, training_identity
 from deltasafe.studies.perception.settings import Cell, StudySettings
 
 OnStep = Callable[[str, StepReport], None]

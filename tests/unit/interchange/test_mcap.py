@@ -257,6 +257,22 @@ def test_command_line_exports_and_imports(tmp_path, execution, capsys):
     assert "neither" in capsys.readouterr().err
 
 
+@needs_mcap
+def test_commands_write_over_no_other_file_or_folder(tmp_path, capsys):
+    scene = SCENE.image_path.parent
+    assert main(["export", str(scene), str(tmp_path / "scene.json")]) == 1
+    assert "scene.json: must end in .mcap" in capsys.readouterr().err
+    assert main(["export", str(scene), str(tmp_path / "scene.mcap")]) == 0
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "final.tex").write_text("years of work")
+    assert main(["import", str(tmp_path / "scene.mcap"), str(tmp_path / "thesis")]) == 1
+    assert "exists and is no scene" in capsys.readouterr().err
+    assert (tmp_path / "thesis" / "final.tex").read_text() == "years of work"
+    (tmp_path / "empty").mkdir()
+    for folder in ("empty", "empty"):  # the second time it is a scene
+        assert main(["import", str(tmp_path / "scene.mcap"), str(tmp_path / folder)]) == 0
+
+
 def test_a_missing_package_is_named_with_its_remedy(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap", None)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)

@@ -6,8 +6,11 @@ import shutil
 import subprocess
 import sys
 
+import cv2
 import numpy as np
 import pytest
+import torch
+from PIL import Image
 
 import deltasafe
 from deltasafe.cli import main
@@ -337,8 +340,6 @@ def test_verify_command(frozen, copy, capsys):
 
 
 def test_predict_command(frozen, tmp_path, capsys):
-    import cv2
-
     picture = tmp_path / "hand.png"
     cv2.imwrite(str(picture), image(60, 80))
     output = tmp_path / "out.png"
@@ -349,6 +350,75 @@ def test_predict_command(frozen, tmp_path, capsys):
     assert np.abs(stored / 65535 - load_ensemble(frozen).p_occupied(rgb)).max() <= 1e-5
     assert main(["predict", str(frozen), str(tmp_path / "none.png")]) == 1
     assert "none.png" in capsys.readouterr().err
+
+
+def test_predict_command_never_writes_over_its_inputs(frozen, copy, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("hand.png", "a.16bit.png"):
+        cv2.imwrite(name, image(60, 80))
+    pathlib.Path("link.png").symlink_to("hand.png")
+    pathlib.Path("hard.png").hardlink_to("hand.png")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    for picture, output in (
+        ("hand.png", "hand.png"),
+        ("hand.png", "./link.png"),
+        ("link.png", "hand.png"),
+        ("hand.png", "hard.png"),
+        ("a.16bit.png", "a.png"),  # the second file that is written
+        ("hand.png", f"{copy.name}/x.png"),
+    ):
+        assert main(["predict", str(copy), picture, "-o", output]) == 1
+        assert "is part of the input" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
+    verify_artifact(copy)
+
+
+def test_predict_command_takes_a_turned_photograph(frozen, tmp_path, capsys):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(image(60, 80)).save(tmp_path / "phone.jpg", exif=exif)
+    assert main(["predict", str(frozen), str(tmp_path / "phone.jpg"), "-o", str(tmp_path / "out.png")]) == 0
+    assert cv2.imread(str(tmp_path / "out.png")).shape == (80, 60, 3)
+
+
+@pytest.mark.parametrize("given", [None, [[[0, 0, 0]]], Image.new("RGB", (64, 48)), torch.zeros(48, 64, 3)])
+def test_what_is_no_array_is_refused_as_documented(frozen, given):
+    with pytest.raises(SettingsError, match=r"must be a numpy array, uint8 \(H, W, 3\), got .*read_rgb"):
+        load_ensemble(frozen).p_occupied(given)
+    with pytest.raises(SettingsError, match="numpy array"):
+        load_ensemble(frozen).member_p_occupied(given)
+
+
+def test_devices_are_chosen_or_refused_by_name(members, frozen, monkeypatch):
+    networks = [member.network() for member in members]
+    expected = "cuda" if torch.cuda.is_available() else "cpu"
+    assert Ensemble(networks, INFERENCE, device="auto").device.type == expected
+    assert load_ensemble(frozen, device="auto").device.type == expected
+    for device in ("gpu", "", "cuda:x", None):
+        with pytest.raises(SettingsError, match="device must be auto, cpu, cuda"):
+            load_ensemble(frozen, device=device)
+    if not torch.cuda.is_available():
+        with pytest.raises(SettingsError, match=r"device 'cuda' is not available here .*; use cpu or auto"):
+            load_ensemble(frozen, device="cuda")
+    with pytest.raises(SettingsError, match="device 'cuda:99' is not available here"):
+        Ensemble(networks, INFERENCE, device="cuda:99")
+
+
+def test_renamed_folder_is_loaded_after_the_remedy_of_the_message(copy):
+    """A browser renames a second download."""
+    browser = copy.rename(copy.with_name(f"{copy.name} (1)"))
+    with pytest.raises(ArtifactError, match="rename it to") as caught:
+        verify_artifact(browser)
+    verify_artifact(browser.rename(browser.with_name(str(caught.value).split("rename it to ")[1].split()[0])))
+
+
+def test_files_of_desktops_in_the_folder_are_ignored(copy):
+    for name in ("Thumbs.db", "desktop.ini", ".DS_Store", "._manifest.json"):
+        (copy / name).touch()
+    verify_artifact(copy)
+    (copy / "notes.txt").touch()
+    with pytest.raises(ArtifactError, match=r"notes\.txt: does not belong"):
+        verify_artifact(copy)
 
 
 def test_model_card_states_supported_delta_or_that_there_is_none():
