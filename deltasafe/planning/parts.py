@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.planning.disc_cover import distance_to_ellipse
 
-__all__ = ["KINDS", "MAX_EXTENT_M", "ToolPart"]
-
 Array = NDArray[np.float64]
 ENDS = np.array([-1.0, 1.0])
 KINDS = ("disc", "box", "capsule", "sphere")

@@ -10,8 +10,6 @@ import numpy as np
 
 from deltasafe.compute.numba_cache import inlined, kernel
 
-__all__ = ["exact_clearance"]
-
 DISC, BOX, SEGMENT = 0.0, 1.0, 2.0
 """Codes of the core of a part, as in ``ToolPart.params``."""
 
