@@ -92,6 +92,8 @@ def mask_kinds(mask: Pixels) -> dict[str, bytes]:
         "palette": _encoded(picture.convert("RGB").quantize(4), "PNG"),
         **{mode: _encoded(picture.convert(mode), "PNG") for mode in ("RGB", "RGBA", "LA")},
         "TIFF": _encoded(picture, "TIFF"),
+        "one color": _encoded(_colored(mask, (250, 50, 83)), "PNG"),
+        "on transparent": _encoded(_colored(mask, (9, 9, 9, 255)), "PNG"),
     }
 
 
@@ -166,6 +168,10 @@ def _encoded(picture: Image.Image, form: str, **options: object) -> bytes:
     stream = io.BytesIO()
     picture.save(stream, form, **options)
     return stream.getvalue()
+
+
+def _colored(mask: Pixels, color: tuple[int, ...]) -> Image.Image:
+    return Image.fromarray(np.where(mask[..., None] > 0, np.array(color, np.uint8), np.uint8(0)))
 
 
 def _orientation(value: int) -> Image.Exif:

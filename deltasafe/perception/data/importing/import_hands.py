@@ -107,11 +107,14 @@ def import_hands(
         raise DataError(folder, "exists already; give a new folder")
     labels = read_source(source, settings)
     classes = _chosen_classes(source, labels, settings)
-    _check_polarity(source, labels, classes, settings)
+    own = (
+        SetOptions.load(source) if labels.format == "folder" else SetOptions("" if labels.has_mask_files else "upright")
+    )
+    if not (settings.large_masks or own.large_masks):
+        _check_polarity(source, labels, classes)
     info = _dataset_info(source, labels, classes, settings)
-    drawn_on = settings.masks_drawn_on or ("" if labels.has_mask_files else "upright")
     # outlines and named classes cannot be inverted, and plain masks are checked above
-    options = SetOptions(drawn_on, large_masks=True)
+    options = SetOptions(settings.masks_drawn_on or own.masks_drawn_on, large_masks=True)
     with atomic_folder(folder) as temporary:
         images = _convert(labels, classes, settings, options, temporary)
         report = ImportReport(folder, labels.format, tuple(classes), info.obstacle, images)
@@ -174,14 +177,12 @@ def _dataset_info(
     return DatasetInfo(obstacle)
 
 
-def _check_polarity(source: pathlib.Path, labels: LabelSource, classes: list[str], settings: ImportSettings) -> None:
+def _check_polarity(source: pathlib.Path, labels: LabelSource, classes: list[str]) -> None:
     """Refuse mask files that are probably inverted.
 
     Raises:
         DataError: lists them.
     """
-    if settings.large_masks:
-        return
     found = []
     for image in labels.images:
         if image.mask_file and (defect := polarity_defect(image.mask(classes))):

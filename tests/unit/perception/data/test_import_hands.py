@@ -212,6 +212,7 @@ def test_inverted_masks_are_refused_with_an_option_that_works(tmp_path, hand):
     np.testing.assert_array_equal(masks_of(tmp_path / "inverted")["a"], hand)
     import_hands(folder, tmp_path / "large", ImportSettings(large_masks=True))
     assert LabeledImageSet.load(tmp_path / "large").read(0)[1].mean() == 0.8
+    import_hands(tmp_path / "large", tmp_path / "again")  # it is confirmed in dataset.json
 
 
 def test_the_loader_refuses_inverted_masks_until_confirmed(tmp_path, hand):
