@@ -81,7 +81,7 @@ def _inertia_of_points(body: ToolBody) -> str:
     axis = np.linspace(-reach_m, reach_m, 61)
     points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     points = np.concatenate([points[body.distance_m(points) <= 0], [part.center_m for part in body.solids]])
-    mass = max(TOOL_DENSITY_KGPM3 * (axis[1] - axis[0]) ** 3 * len(points), 0.01)
+    mass = max(TOOL_DENSITY_KGPM3 * float(axis[1] - axis[0]) ** 3 * len(points), 0.01)
     center = points.mean(axis=0)
     x, y, z = (points - center).T
     around = [mass * float(np.mean(a * a + b * b)) + 1e-7 for a, b in ((y, z), (x, z), (x, y))]

@@ -5,9 +5,13 @@ import pytest
 
 from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.execution import ExecutionSettings, Workcell, execute
+from deltasafe.execution.distance import MeshDistance
 from deltasafe.execution.iiwa_arm import IiwaArm, JointFriction
 from deltasafe.execution.iiwa_view import ArmView, Viewpoint
 from deltasafe.execution.kinematics import IIWA14_LIMITS
+from deltasafe.geometry import yaw_of
+from deltasafe.planning.body import ToolBody
+from deltasafe.planning.parts import ToolPart
 from deltasafe.planning.tracking_bound import TrackingBound
 from deltasafe.scene.camera import Camera
 from tests.unit.execution.closed_form import tool_pose
@@ -45,6 +49,31 @@ def test_the_model_predicts_the_simulator_without_friction():
         arm.step(model.bias_nm + push)
         gained = (arm.state().joint_velocities_radps - state.joint_velocities_radps) / arm.control_period_s
         np.testing.assert_allclose(model.mass_matrix @ gained, push, rtol=0.02, atol=2e-4)
+
+
+PARTS = ToolBody(
+    parts=(
+        ToolPart("box", z_m=0.05, half_x_m=0.03, half_y_m=0.015, half_z_m=0.02, yaw_rad=0.5),
+        ToolPart("capsule", x_m=0.02, z_m=0.02, half_z_m=0.01, radius_m=0.005),
+        ToolPart("sphere", radius_m=0.01),
+    )
+)
+
+
+def test_tool_of_parts_has_the_mass_of_its_model_and_touches_where_the_distance_is_zero(hand):
+    friction = JointFriction((0.0,) * 7, (0.0,) * 7, 0.0, 0.0)
+    with IiwaArm(Workcell(PARTS, hand), friction=friction) as arm:
+        for height_m, touches in ((0.005, False), (-0.003, True)):  # of the sphere above the top of the ball
+            pose = np.array([[0.0, -0.02, 0.07 + 0.01 + height_m, 0.4]])
+            arm.reset(arm.inverse(pose)[0])
+            state = arm.state()
+            np.testing.assert_allclose(state.tool_position_m, pose[0, :3], atol=1e-6)
+            assert yaw_of(state.tool_quaternion) == pytest.approx(0.4, abs=1e-6)
+            distance_m = MeshDistance(*hand).to_tool(PARTS, state.tool_position_m, np.diag([1.0, 1.0, 1.0]))
+            assert distance_m == pytest.approx(max(height_m, 0.0), abs=5e-4)
+            assert (arm.step(arm.dynamics(state).bias_nm) > 0) == touches
+            if not touches:  # gravity is balanced, so the arm rests
+                assert np.abs(arm.state().joint_velocities_radps).max() < 1e-4
 
 
 def test_tracking_error_is_within_the_papers_bound_and_not_zero(execution):
