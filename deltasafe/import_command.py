@@ -60,3 +60,4 @@ def _import(options: argparse.Namespace) -> None:
         **tasks,
     )
     print(f"{options.folder}: {import_scene(options.log, options.folder, given).id}")
+    print(f"see what it means: deltasafe scene check {options.folder} -o understood.png")

@@ -15,6 +15,9 @@ from deltasafe.setting_ranges import check_range
 
 Array = NDArray[np.float64]
 
+MAX_PIXELS = 16_000_000
+"""Larger images are reduced by block maxima before the pyramid, which needs 20 bytes a pixel."""
+
 LEVELS = 5
 """Maximum pyramid: squares with edges of 1, 2, 4, 8 and 16 pixels."""
 
@@ -92,8 +95,9 @@ def grid_from_image(
     columns = np.ceil((seen.max(axis=0) - origin_m[:2]) / settings.voxel_m).astype(int)
     shape = int(columns[0]), int(columns[1]), layers
     require_size(shape, settings.voxel_m)
-    pyramid = _maximum_pyramid(image)
-    p_occupied = _voxel_maxima(pyramid, _projection_matrix(camera), origin_m, settings.voxel_m, shape)
+    image, block = _block_maxima(image)
+    projection = _projection_matrix(camera) / np.array([[block], [block], [1.0]])
+    p_occupied = _voxel_maxima(_maximum_pyramid(image), projection, origin_m, settings.voxel_m, shape)
     unseen = p_occupied > 1.0
     p_occupied[unseen] = 1.0
     return OccupancyGrid(p_occupied, origin_m, settings.voxel_m, unseen)
@@ -112,6 +116,19 @@ def _seen_of_table(camera: Camera, table_z_m: float, settings: FieldSettings, ta
             "(meters) and rotation, and the height of the table"
         )
     return seen
+
+
+def _block_maxima(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
+    """Reduce an image to at most ``MAX_PIXELS``; return it and the edge of a block.
+
+    Rows and columns that fill no block are cut off: what they show counts as not seen.
+    """
+    block = math.ceil(math.sqrt(image.size / MAX_PIXELS))
+    if block <= 1:
+        return image, 1
+    height, width = image.shape[0] // block, image.shape[1] // block
+    blocks = image[: height * block, : width * block].reshape(height, block, width, block)
+    return np.ascontiguousarray(blocks.max(axis=(1, 3))), block
 
 
 def _projection_matrix(camera: Camera) -> NDArray[np.float64]:

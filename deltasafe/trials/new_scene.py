@@ -12,7 +12,7 @@ from deltasafe.cameras.calibration_files import ImageKind, read_camera
 from deltasafe.cameras.model import CameraModel
 from deltasafe.errors import DataError, PlanningError, SettingsError
 from deltasafe.execution.kinematics import ArmMount, IiwaKinematics
-from deltasafe.io.images import read_rgb
+from deltasafe.io.images import read_image
 from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.perception.data.masks import read_mask
 from deltasafe.planning import ToolBody
@@ -22,6 +22,9 @@ from deltasafe.trials.motion_figure import body_outlines
 from deltasafe.trials.scene_picture import draw_scene
 
 SCENE, IMAGE, MASK, PICTURE = "scene.json", "image.png", "hand_mask.png", "understood.png"
+MAX_PIXELS = 4_000_000
+"""A larger photograph is scaled down; the networks see far smaller ones, and voxels cover several pixels."""
+
 ToolPose = tuple[float, float, float, float]
 
 
@@ -68,13 +71,13 @@ def write_scene(draft: SceneDraft, folder: str | pathlib.Path) -> LoggedScene:
             return None
 
     attempt(folder, _require_no_other_files, folder)
-    rgb = attempt(draft.image, read_rgb, draft.image)
+    photo = attempt(draft.image, read_image, draft.image, MAX_PIXELS)
     model = attempt(draft.camera, _camera_model, draft.camera, draft.image_kind)
-    if rgb is not None and model is not None:
-        model = attempt(draft.image, model.resized, rgb.shape[1], rgb.shape[0])
+    if photo is not None and model is not None:
+        model = attempt(draft.image, model.resized, photo.rgb.shape[1], photo.rgb.shape[0])
     mask = None if draft.mask is None else attempt(draft.mask, read_mask, draft.mask)
-    if draft.mask is not None and mask is not None and rgb is not None and mask.shape != rgb.shape[:2]:
-        size = f"{mask.shape[1]} x {mask.shape[0]} pixels, the image {rgb.shape[1]} x {rgb.shape[0]}"
+    if draft.mask is not None and mask is not None and photo is not None and mask.shape[::-1] != photo.size:
+        size = f"{mask.shape[1]} x {mask.shape[0]} pixels, the image {photo.size[0]} x {photo.size[1]}"
         defects.append(DataError(draft.mask, f"has {size}; give the mask of that image"))
     record = _record(draft, folder.resolve().name, attempt(draft.camera, model.pinhole) if model else None)
     # the files that it names do not exist yet, and a camera without a model is reported above
@@ -83,9 +86,10 @@ def write_scene(draft: SceneDraft, folder: str | pathlib.Path) -> LoggedScene:
     if defects:
         raise DataError.combined(folder, defects)
     with atomic_folder(folder) as temporary:
-        undistorted = model.undistorted(rgb)
+        undistorted = model.undistorted(photo.rgb)
         _write_png(temporary / IMAGE, undistorted[..., ::-1])
         if mask is not None:
+            mask = cv2.resize(mask, photo.rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST)
             _write_png(temporary / MASK, model.undistorted(mask, is_mask=True))
         write_json(temporary / SCENE, record)
         scene = LoggedScene.load(temporary)

@@ -16,6 +16,7 @@ from deltasafe.scene import (
     FieldSettings,
     OccupancyGrid,
     Sphere,
+    extrusion,
     fuse_grids,
     grid_from_image,
     grid_from_shapes,
@@ -186,6 +187,15 @@ def test_oblique_camera_gets_a_bounded_grid(tilt_deg: float) -> None:
     assert ((uv > 0) & (uv < (160, 120))).all()  # what is not seen stays occupied
     with pytest.raises(SettingsError, match=r"whole image must show the table|voxels|within 1000"):
         grid_from_image(free, view, 0.0, 0.05, FieldSettings(0.0005))
+
+
+def test_large_image_is_reduced_without_losing_a_pixel(monkeypatch) -> None:
+    image = (np.random.default_rng(4).random((120, 160)) ** 4).astype(np.float32)
+    exact = grid_from_image(image, camera(0.3), 0.0, 0.05, FieldSettings(0.005))
+    monkeypatch.setattr(extrusion, "MAX_PIXELS", 120 * 160 // 3)  # blocks of 2 x 2
+    reduced = grid_from_image(image, camera(0.3), 0.0, 0.05, FieldSettings(0.005))
+    assert (reduced.p_occupied >= exact.p_occupied).all()
+    assert 0 < (reduced.p_occupied - exact.p_occupied).mean() < 0.15
 
 
 def test_too_many_voxels_are_refused_before_they_are_allocated() -> None:

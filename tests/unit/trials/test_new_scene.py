@@ -14,7 +14,7 @@ from deltasafe.errors import DataError
 from deltasafe.geometry import Pose
 from deltasafe.io.images import read_rgb
 from deltasafe.scene import LoggedScene
-from deltasafe.trials import scene_picture
+from deltasafe.trials import new_scene, scene_picture
 from deltasafe.trials.new_scene import SceneDraft, scene_warnings, write_scene
 from tests.unit.trials.test_trials import SCENES
 
@@ -70,6 +70,16 @@ def test_all_that_is_wrong_is_listed_and_nothing_is_written(tmp_path):
     for words in ("none.jpg", "none.json", "hand_height_m", "start.position_m", "field goal"):
         assert words in str(caught.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_large_photograph_is_scaled_down_with_its_camera_and_mask(tmp_path, monkeypatch):
+    monkeypatch.setattr(new_scene, "MAX_PIXELS", 320 * 240)
+    scene = write_scene(dataclasses.replace(DRAFT, mask=GIVEN / "hand_mask.png"), tmp_path / "mine")
+    assert (scene.camera.width, scene.camera.height) == (320, 240)
+    np.testing.assert_allclose([scene.camera.fx, scene.camera.cx], [PACKAGED.camera.fx / 2, 160.0])
+    small, whole = (cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in (scene.mask_path, GIVEN / "hand_mask.png"))
+    assert small.shape == read_rgb(scene.image_path).shape[:2] == (240, 320)
+    assert (small > 0).mean() == pytest.approx((whole > 0).mean(), abs=0.002)
 
 
 @pytest.mark.parametrize(
