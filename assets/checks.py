@@ -11,8 +11,9 @@ from assets.config import configurable
 from assets.perception import members
 from assets.policies import ON_NEW_ASSET
 from assets.reporting import Metadata, readable
-from assets.run_settings import planning_delta
+from assets.run_settings import gate_thresholds, planning_delta
 from deltasafe import presets
+from deltasafe.perception.data.dataset_info import DatasetInfo
 
 PRESET = presets.active()
 
@@ -44,7 +45,8 @@ def no_image_in_both_sets(test_hands: pathlib.Path, raw_hands: pathlib.Path) -> 
     asset="augmented_hands",
     blocking=True,
     description="Stored images match the checksums in their recipes. At least 95 % of those that are made from an "
-    "image with a hand show one, and hands cover 2 to 60 % of their pixels. A failure stops the run before training.",
+    "image with an obstacle show one, and obstacles cover 2 to 60 % of their pixels, unless the data set allows "
+    "another fraction. A failure stops the run before training.",
 )
 def images_match_their_recipes(augmented_hands: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.errors import DataError
@@ -57,7 +59,10 @@ def images_match_their_recipes(augmented_hands: pathlib.Path) -> dg.AssetCheckRe
     except DataError as error:
         return dg.AssetCheckResult(passed=False, description=str(error))
     shown = ShownHands.of(data)
-    fractions = {"images with a hand": round(shown.fraction, 4), "fraction of hand pixels": round(shown.coverage, 4)}
+    fractions = {
+        f"images with {data.info.with_article}": round(shown.fraction, 4),
+        f"fraction of {data.info.singular} pixels": round(shown.coverage, 4),
+    }
     return dg.AssetCheckResult(passed=shown.passed, description=shown.sentence(), metadata=fractions)
 
 
@@ -107,20 +112,25 @@ def _loss_ratio(folder: pathlib.Path) -> float:
     asset="calibration_report",
     blocking=True,
     description="Gate: pixel accuracy and mIoU reach their thresholds, and the test images support the delta of "
-    "planning. A failure means that the ensemble is not frozen; thresholds are settings of this check.",
+    "planning. A failure means that the ensemble is not frozen; thresholds are settings of this check, else those of "
+    "the data set, else those of the preset.",
 )
-def may_be_frozen(calibration_report: pathlib.Path, config: GateConfig) -> dg.AssetCheckResult:
+def may_be_frozen(
+    context: dg.AssetCheckExecutionContext, calibration_report: pathlib.Path, config: GateConfig
+) -> dg.AssetCheckResult:
     from deltasafe.perception.calibration.report import CalibrationReport, gate
 
     report = CalibrationReport.load(calibration_report)
-    thresholds = config.settings()
+    thresholds = gate_thresholds(context.run.run_config, config.settings(), report.info.gate)
     failures = gate(report, thresholds)
     supported, needed = report.smallest_supported_delta, report.settings.planning_delta
     found = (
         "; ".join(failures)
         or f"accuracy is sufficient; the images support a delta of {supported}, planning needs {needed}"
     )
-    return dg.AssetCheckResult(passed=not failures, description=found, metadata=readable(report.figures()))
+    return dg.AssetCheckResult(
+        passed=not failures, description=found, metadata=readable(report.figures(), report.info.singular)
+    )
 
 
 @dg.asset_check(
@@ -147,8 +157,8 @@ def answers_its_golden_image(frozen_ensemble: pathlib.Path) -> dg.AssetCheckResu
     asset="occupancy_fields",
     automation_condition=ON_NEW_ASSET,
     additional_ins={"logged_scenes": dg.AssetIn("logged_scenes")},
-    description="In every scene, at most 5 % of the pixels of the true hand have p_occupied up to delta, which the "
-    "planner treats as free. A failure is a warning: motions may come too close to the hand, or no scene has a true "
+    description="In every scene, at most 5 % of the pixels of the true obstacle have p_occupied up to delta, which the "
+    "planner treats as free. A failure is a warning: motions may come too close to it, or no scene has a true "
     "mask to judge by.",
 )
 def true_hands_are_seen(
@@ -164,9 +174,9 @@ def true_hands_are_seen(
     notes = [f"not judged: {unjudged} of {len(scenes)} scenes, which have no true mask"] if unjudged else []
     largest, passed = None, False
     if missed:
-        worst = max(missed, key=lambda scene: missed[scene])
+        worst, thing = max(missed, key=lambda scene: missed[scene]), DatasetInfo.load(occupancy_fields).with_article
         largest, passed = round(missed[worst], 4), missed[worst] <= 0.05
-        notes.insert(0, f"the largest miss rate at delta {delta:g} is {missed[worst]:.1%} of a hand (in {worst})")
+        notes.insert(0, f"the largest miss rate at delta {delta:g} is {missed[worst]:.1%} of {thing} (in {worst})")
     return dg.AssetCheckResult(
         passed=passed,
         severity=dg.AssetCheckSeverity.WARN,
@@ -228,9 +238,9 @@ def recordings_are_intact(executed_motions: pathlib.Path) -> dg.AssetCheckResult
 @dg.asset_check(
     asset="safety_report",
     automation_condition=ON_NEW_ASSET,
-    description="Every executed motion was completed, had no contact with hand or table, and was delta-safe at "
-    "every pose. A failure names the counts; the safety report shows the motions. If no scene has a true hand, it is "
-    "a warning: not judged.",
+    description="Every executed motion was completed, had no contact with obstacle or table, and was delta-safe at "
+    "every pose. A failure names the counts; the safety report shows the motions. If no scene has true obstacles, it "
+    "is a warning: not judged.",
 )
 def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
     return safety_result(safety_report, n_required=1)
@@ -239,12 +249,12 @@ def executions_were_safe(safety_report: pathlib.Path) -> dg.AssetCheckResult:
 def safety_result(report: pathlib.Path, n_required: int) -> dg.AssetCheckResult:
     """Evaluate a safety report: all executed motions were safe, and at least ``n_required`` were executed.
 
-    Motions without a true hand neither pass nor fail as far as they are not judged. If all are such, the result is a
-    warning.
+    Motions without a true obstacle neither pass nor fail as far as they are not judged. If all are such, the result is
+    a warning.
     """
     from deltasafe.trials.safety_report import read_figures
 
-    figures = read_figures(report)
+    figures, thing = read_figures(report), DatasetInfo.load(report).singular
     safe, executed = int(figures["scenes_safe"] or 0), int(figures["scenes_executed"] or 0)
     judged = int(figures.get("scenes_judged", executed) or 0)
     unsafe = int(figures.get("scenes_unsafe", judged - safe) or 0)
@@ -252,10 +262,10 @@ def safety_result(report: pathlib.Path, n_required: int) -> dg.AssetCheckResult:
     contacts, unjudged = figures["contacts"], executed - judged
     found = f"not completed: {executed - completed}"
     if judged or not executed:
-        found = f"{safe} of {judged} executed motions were safe; {found}; contacts with hand or table: {contacts}"
+        found = f"{safe} of {judged} executed motions were safe; {found}; contacts with {thing} or table: {contacts}"
     if unjudged:
         found += (
-            f"; not judged: contacts of {unjudged} motions with the hand, because their scenes have no true hand "
+            f"; not judged: contacts of {unjudged} motions with the {thing}, because their scenes have no true {thing} "
             f"({unsafe - (judged - safe)} of them were unsafe for another reason)"
         )
     failed = unsafe > 0 or bool(contacts) or executed < n_required
@@ -264,7 +274,7 @@ def safety_result(report: pathlib.Path, n_required: int) -> dg.AssetCheckResult:
         passed=not failed and not undecided,
         severity=dg.AssetCheckSeverity.WARN if undecided else dg.AssetCheckSeverity.ERROR,
         description=found,
-        metadata=readable(figures),
+        metadata=readable(figures, thing),
     )
 
 

@@ -13,6 +13,7 @@ from assets.reporting import Metadata, folder_facts, inline_picture, readable, r
 from assets.run_settings import planning_delta
 from deltasafe import presets
 from deltasafe.compute.executor import Executor
+from deltasafe.perception.data.dataset_info import DatasetInfo
 
 PRESET = presets.active()
 _asset = functools.partial(dg.asset, group_name="motion", owners=["team:motion"], code_version="1")
@@ -49,7 +50,7 @@ class ExecutedConfig(dg.Config):
 
 
 class SafetyConfig(dg.Config):
-    """Films show the `n_films` executions that came closest to the hand. Failures are always filmed."""
+    """Films show the `n_films` executions that came closest to the obstacle. Failures are always filmed."""
 
     n_films: int = PRESET.n_films
 
@@ -59,9 +60,9 @@ class SafetyConfig(dg.Config):
 def logged_scenes(
     context: dg.AssetExecutionContext, config: ScenesConfig, store: dg.ResourceParam[Store]
 ) -> dg.Output[pathlib.Path]:
-    """The selected scenes: image of a table with a hand, camera, start and goal. Each is checked.
+    """The selected scenes: image of a table with an obstacle, camera, start and goal. Each is checked.
 
-    Mask and mesh of the true hand are optional, and used only for evaluation. A failure names the file and the defect.
+    True mask and mesh of the obstacle are optional, and only for evaluation. A failure names the file and the defect.
     """
     from deltasafe.io.storage import sha256_of_file
     from deltasafe.trials.overview import tile_pictures
@@ -74,7 +75,7 @@ def logged_scenes(
     sheet = folder.with_name(f"{folder.name}-sheet.jpg")
     tile_pictures([scene.image_path for scene in scenes[:20]], sheet, columns=5)
     judged = sum(scene.mesh_path is not None for scene in scenes)
-    facts = {"scenes": len(scenes), "with a true hand": judged, "source folder": str(source)}
+    facts = {"scenes": len(scenes), "with true obstacles": judged, "source folder": str(source)}
     metadata = {"scenes as logged": inline_picture(sheet), **facts, **folder_facts(folder, version)}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
 
@@ -88,7 +89,7 @@ def occupancy_fields(
     champion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """Occupancy probability of each scene: the prediction of the ensemble, extruded along camera rays to hand height.
+    """Occupancy probability of each scene: the prediction of the ensemble, extruded along camera rays to its height.
 
     Made from logged_scenes with the ensemble in use (champion).
     """
@@ -150,9 +151,9 @@ def executed_motions(
     store: dg.ResourceParam[Store],
     executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
-    """Recordings of all planned motions on the simulated iiwa with impedance control, next to the true hand.
+    """Recordings of all planned motions on the simulated iiwa with impedance control, next to the true obstacle.
 
-    Made from planned_motions. A scene without a true hand is executed in a world without one. Motions that were not
+    Made from planned_motions. A scene without a true one is executed in an empty world. Motions that were not
     executed are listed with the reason.
     """
     from deltasafe.trials.executions import execute_scenes
@@ -191,9 +192,9 @@ def safety_report(
     executed_motions: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """Report on the executed motions: delta-safety, clearance to the true hand, contacts, tracking errors, films.
+    """Report on the executed motions: delta-safety, clearance to the true obstacle, contacts, tracking errors, films.
 
-    Made from executed_motions. Without a true hand, contacts are not judged. The checks executions_were_safe and
+    Made from executed_motions. Without a true obstacle, contacts are not judged. The checks executions_were_safe and
     tracking_kept_its_bound decide on its figures.
     """
     from deltasafe.trials.motions import PlannedScenes
@@ -215,7 +216,7 @@ def safety_report(
         "plans": inline_picture(folder / "plans.jpg", 35_000),
         **({"executed": inline_picture(executed, 35_000)} if executed.is_file() else {}),
         **({} if film is None else {"film": film}),
-        **readable(report.figures()),
+        **readable(report.figures(), DatasetInfo.load(folder).singular),
         **folder_facts(folder),
     }
     return dg.Output(folder, metadata=metadata)

@@ -44,7 +44,7 @@ PromotionConfig = configurable(PRESET.promotion)
 
 
 class HandsConfig(dg.Config):
-    """`folder` contains images/ and masks/ (255 = hand). If it is empty, the packaged set is used.
+    """`folder` contains images/ and masks/ (255 = obstacle). If it is empty, the packaged set is used.
 
     Or `source` is the label file or folder of another tool, and `labels` says how to convert it.
     """
@@ -74,7 +74,7 @@ class HandsConfig(dg.Config):
 
 
 class AugmentedConfig(dg.Config):
-    """`backgrounds` is a folder of pictures without hands. If it is empty, the packaged ones are used."""
+    """`backgrounds` is a folder of pictures without obstacles. If it is empty, the packaged ones are used."""
 
     augmentation: AugmentationConfig = AugmentationConfig()
     backgrounds: str = ""
@@ -110,7 +110,8 @@ def _checked_hands(config: HandsConfig, store: Store, asset: str, packaged: str)
     folder, registry = config.input(store, asset, packaged)
     hands = LabeledImageSet.load(folder, registry)
     sheet = inline_jpeg(labeled_images_figure(hands), "labeled images")
-    metadata: dict[str, Any] = {"examples": sheet, "images": len(hands), **folder_facts(folder, hands.digest[:16])}
+    facts = {"images": len(hands), "obstacle": hands.info.singular, **folder_facts(folder, hands.digest[:16])}
+    metadata: dict[str, Any] = {"examples": sheet, **facts}
     if config.source:
         metadata["conversion"] = dg.MetadataValue.md((folder / "import.md").read_text(encoding="utf-8"))
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))
@@ -218,8 +219,10 @@ def calibration_report(
         device=config.device,
         progress=progress_of(context),
     )
-    page = tracker.report(trained[0].ensemble_identity, report.figures(), folder, {"test hands": test.digest})
-    metadata = {**report_with_summary(folder / "report.md"), **readable(report.figures()), **page_link(page)}
+    figures, data = report.figures(), {f"test {test.info.plural}": test.digest}
+    page = tracker.report(trained[0].ensemble_identity, figures, folder, data)
+    shown = readable(figures, test.info.singular)
+    metadata = {**report_with_summary(folder / "report.md"), **shown, **page_link(page)}
     version = dg.DataVersion(sha256_of_file(folder / "report.json")[:16])
     return dg.Output(folder, metadata={**metadata, **folder_facts(folder)}, data_version=version)
 

@@ -84,8 +84,11 @@ def report_with_summary(path: pathlib.Path) -> Metadata:
     return {**summary_of(path.read_text(encoding="utf-8")), "report": inline_report(path)}
 
 
-def readable(figures: Mapping[str, float | None]) -> Metadata:
-    """Return figures with descriptive names, lengths in millimeters, and four significant digits; None: not judged."""
+def readable(figures: Mapping[str, float | None], thing: str = "hand") -> Metadata:
+    """Return figures with descriptive names, lengths in millimeters, and four significant digits; None: not judged.
+
+    ``thing`` is the display name of the obstacle, which the names of figures call a hand.
+    """
     shown: Metadata = {}
     for name, value in figures.items():
         words, unit = name, ""
@@ -94,7 +97,7 @@ def readable(figures: Mapping[str, float | None]) -> Metadata:
                 words, unit = name.removesuffix(suffix), f" [{symbol}]"
                 value = None if value is None else factor * value  # noqa: PLW2901
                 break
-        label = _NAMES.get(name) or words.replace("_", " ") + unit
+        label = _NAMES.get(name) or re.sub(r"\bhand\b", thing, words.replace("_", " ")) + unit
         shown[label] = "not judged" if value is None else value if isinstance(value, int) else float(f"{value:.4g}")
     return shown
 

@@ -1,9 +1,11 @@
 """Settings of one step that other steps of the same run use as well."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
 from deltasafe import presets
+from deltasafe.perception.settings import GateThresholds
 
 _PRESET = presets.active()
 _SOURCES = {
@@ -32,6 +34,14 @@ def conflicting_deltas(run_config: Mapping[str, Any]) -> str:
         f"calibration_report: planning_delta is {reported:g}, but planned_motions plans with delta {planned:g}; "
         "set only motion.delta of planned_motions, which the report uses as well"
     )
+
+
+def gate_thresholds(
+    run_config: Mapping[str, Any], configured: GateThresholds, of_dataset: GateThresholds | None
+) -> GateThresholds:
+    """Return the thresholds of the gate: what the run gives explicitly, else the data set, else ``configured``."""
+    given = run_config.get("ops", {}).get("calibration_report_may_be_frozen", {}).get("config", {})
+    return configured if of_dataset is None else dataclasses.replace(of_dataset, **given)
 
 
 def _configured(run_config: Mapping[str, Any]) -> dict[str, float]:

@@ -11,6 +11,7 @@ from assets.motion import ExecutionConfig, FieldConfig, PlannerConfig
 from assets.policies import ALL_CORES, RETRY_TWICE, no_retry
 from assets.progress import progress_of
 from assets.reporting import Metadata, folder_facts, inline_picture, readable, report_with_summary
+from deltasafe.perception.data.dataset_info import DatasetInfo
 
 scenes = dg.DynamicPartitionsDefinition(name="scenes")
 _asset = functools.partial(
@@ -59,7 +60,7 @@ def logged_scene(
     folder = store.folder("logged_scene", f"{context.partition_key}-{context.run.run_id[:8]}")
     scene = select_scene(source / context.partition_key, folder)
     version = sha256_of_file(folder / "scenes.json")[:16]
-    shown = {"image": inline_picture(scene.image_path, 60_000), "with a true hand": scene.mesh_path is not None}
+    shown = {"image": inline_picture(scene.image_path, 60_000), "with true obstacles": scene.mesh_path is not None}
     metadata = {**shown, **folder_facts(scene.image_path.parent, version)}
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(version))
 
@@ -96,9 +97,9 @@ def scene_execution(
     scene_motion: pathlib.Path,
     store: dg.ResourceParam[Store],
 ) -> dg.Output[pathlib.Path]:
-    """The motion on the simulated arm next to the true hand, with a safety report.
+    """The motion on the simulated arm next to the true obstacle, with a safety report.
 
-    Made from scene_motion. Without a true hand, contacts are not judged. The check execution_of_the_scene_was_safe
+    Made from scene_motion. Without true obstacles, contacts are not judged. The check execution_of_the_scene_was_safe
     decides on its figures.
     """
     from deltasafe.trials.single_scene import execute_scene
@@ -107,7 +108,10 @@ def scene_execution(
     report = execute_scene(
         logged_scene, scene_motion, folder, config.execution.settings(), config.seed, progress_of(context)
     )
-    shown = {**report_with_summary(folder / "report" / "summary.md"), **readable(report.figures())}
+    shown = {
+        **report_with_summary(folder / "report" / "summary.md"),
+        **readable(report.figures(), DatasetInfo.load(folder / "report").singular),
+    }
     return dg.Output(folder, metadata={**shown, **folder_facts(folder)})
 
 
@@ -126,7 +130,7 @@ def audit_of_the_scene(scene_motion: pathlib.Path, logged_scene: pathlib.Path) -
 @dg.asset_check(
     asset="scene_execution",
     partitions_def=scenes,
-    description="The executed motion was completed, had no contact with hand or table, and was delta-safe at every "
+    description="The executed motion was completed, had no contact with obstacle or table, and was delta-safe at every "
     "pose. The safety report shows why it failed.",
 )
 def execution_of_the_scene_was_safe(scene_execution: pathlib.Path) -> dg.AssetCheckResult:

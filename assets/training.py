@@ -68,7 +68,7 @@ class Training:
             executor=self.executor,
         )
         for name, member in trained.items():
-            self._record(context, name, member, log, data.digest)
+            self._record(context, name, member, log, {f"augmented {data.info.plural}": data.digest})
         return {name: member.folder for name, member in trained.items()}
 
     def _record(
@@ -77,7 +77,7 @@ class Training:
         name: str,
         member: "Member",
         log: "_StepLog",
-        data_digest: str,
+        data: Mapping[str, str],
     ) -> None:
         from deltasafe.perception.training.loss_figure import plot_loss_curves
 
@@ -87,9 +87,7 @@ class Training:
         speeds, times_ms = [speed for _, speed in sorted(log.images_per_s[name].items())], log.trained_ms.get(name)
         page = self.tracker.member(
             member.ensemble_identity,
-            TrainedMember(
-                name, parameters, losses, per_epoch, speeds, {"augmented hands": data_digest}, curve, times_ms
-            ),
+            TrainedMember(name, parameters, losses, per_epoch, speeds, data, curve, times_ms),
         )
         final = round(sum(losses[-20:]) / len(losses[-20:]), 4)
         metadata = {"loss": inline_picture(curve), "final loss": final, "steps": len(losses), "seed": member.seed}

@@ -12,6 +12,7 @@ import yaml
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.io.storage import atomic_file
 from deltasafe.io.write_errors import translated_write_errors
+from deltasafe.perception.data.dataset_info import DatasetInfo
 from deltasafe.presets import VARIABLE, active
 from pipelines.addresses import masked
 
@@ -94,6 +95,25 @@ def home() -> pathlib.Path:
     preset = os.environ.get(VARIABLE) or "default"
     folder = PROJECT / ".deltasafe" / ("" if preset == "default" else preset)
     return pathlib.Path(os.environ.get("DELTASAFE_HOME") or folder).expanduser().resolve()
+
+
+def obstacle_of(root: pathlib.Path) -> str:
+    """Return the identifier of the obstacle that the ensembles of the home ``root`` detect, by default a hand.
+
+    A home is for one obstacle: its ensembles are compared with each other, and one of them is in use.
+    """
+    return DatasetInfo.load(root).obstacle
+
+
+def require_obstacle(root: pathlib.Path, obstacle: str) -> None:
+    """Check that the home ``root`` is for an obstacle, or has no ensemble yet.
+
+    Raises:
+        DataError: it is for another obstacle.
+    """
+    if obstacle != (present := obstacle_of(root)) and (root / "champion.json").is_file():
+        reason = f"has ensembles for the obstacle {present!r}, not {obstacle!r}; set DELTASAFE_HOME to another home"
+        raise DataError(root, reason)
 
 
 def tracking_uri(root: pathlib.Path) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from deltasafe.perception.artifact.frozen_ensemble import write_frozen_ensemble
 from deltasafe.perception.calibration.delta_support import Calibration
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
 from deltasafe.perception.settings import InferenceSettings, NetworkSettings
 from deltasafe.perception.training.member import Member
 from deltasafe.perception.training.network import build_network
@@ -24,7 +25,7 @@ CALIBRATION = Calibration(
 )
 
 
-def freeze_constant(parent: pathlib.Path, logit: float) -> pathlib.Path:
+def freeze_constant(parent: pathlib.Path, logit: float, info: DatasetInfo = HANDS) -> pathlib.Path:
     """Freeze an ensemble with a constant logit; the lower, the better on images with a small hand."""
     import torch
 
@@ -36,7 +37,7 @@ def freeze_constant(parent: pathlib.Path, logit: float) -> pathlib.Path:
     record = {"settings": {"network": dataclasses.asdict(settings)}, "data_digest": "d" * 64, "seed": 0}
     member = Member.write(parent / f"member{logit}", network, record)
     golden = np.zeros((48, 64, 3), np.uint8)
-    return write_frozen_ensemble([member], InferenceSettings(64, 48), CALIBRATION, golden, parent / "frozen")
+    return write_frozen_ensemble([member], InferenceSettings(64, 48), CALIBRATION, golden, parent / "frozen", info=info)
 
 
 def write_hands(folder: pathlib.Path, n: int = 4, seed: int = 0) -> pathlib.Path:

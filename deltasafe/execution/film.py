@@ -1,6 +1,7 @@
 """Film of an execution from its recorded joint positions: an oblique view beside the view of the logged camera."""
 
 import pathlib
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import SettingsError
 from deltasafe.execution.iiwa_view import ArmView, Viewpoint
 from deltasafe.execution.recording import PHASES, Execution
-from deltasafe.execution.workcell import Mesh, Workcell
+from deltasafe.execution.workcell import Workcell
 from deltasafe.io.storage import atomic_file
 from deltasafe.scene.camera import Camera
 
@@ -26,13 +27,15 @@ def save_film(
     destination: str | pathlib.Path,
     execution: Execution,
     camera: Camera,
-    mesh: Mesh | None,
+    cell: Workcell,
     *,
-    table_z_m: float = 0.0,
     seconds: float = 7.0,
     view_width: int = 400,
+    thing: str = "hand",
 ) -> None:
     """Write a film of ``seconds`` as an animated GIF, atomically; both views are ``view_width`` pixels wide.
+
+    ``cell`` is the workcell of the execution, and ``thing`` the display name of the obstacle in it.
 
     Raises:
         SettingsError: the destination does not end in .gif.
@@ -42,7 +45,8 @@ def save_film(
     destination = pathlib.Path(destination)
     if destination.suffix.lower() != ".gif":
         raise SettingsError(f"a film is an animated GIF and must end in .gif, got {destination.name}")
-    frames = _frames(execution, camera, Workcell(execution.body, mesh, table_z_m), seconds, view_width)
+    distances = _distances(execution, thing)
+    frames = _frames(execution, camera, cell, (seconds, view_width), distances)
     middle = np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]])
     palette = Image.fromarray(middle).quantize(128, dither=Image.Dither.NONE)
     images = [Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
@@ -59,9 +63,15 @@ def save_film(
 
 
 def _frames(
-    execution: Execution, camera: Camera, cell: Workcell, seconds: float, view_width: int
+    execution: Execution, camera: Camera, cell: Workcell, size: tuple[float, int], distances: Sequence[str]
 ) -> list[NDArray[np.uint8]]:
-    """Frames (H, W, 3) uint8: reference in gray, executed path in blue, a line of text below."""
+    """Frames (H, W, 3) uint8: reference in gray, executed path in blue, a line of text below.
+
+    Args:
+        size: seconds of the film, and width of a view in pixels.
+        distances: text on the distance at each sample.
+    """
+    seconds, view_width = size
     # the near plane of the camera's view cuts the links away: the arm passes between the camera and the table
     along_axis = -float(camera.world_from_camera_rotation[2, 2])  # 1 for a camera that looks straight down
     near_m = (float(camera.position_m[2]) - cell.table_z_m - _CUT_ABOVE_TABLE_M) * along_axis
@@ -77,7 +87,7 @@ def _frames(
                 _with_paths(arm.render(execution.joint_positions_rad[sample], view), execution, sample, view)
                 for view in (oblique, camera_view)
             ]
-            frames.append(_captioned(np.concatenate(views, axis=1), execution, sample, speed_up))
+            frames.append(_captioned(np.concatenate(views, axis=1), execution, sample, speed_up, distances[sample]))
     return frames
 
 
@@ -96,14 +106,20 @@ def _with_paths(rgb: NDArray[np.uint8], execution: Execution, sample: int, view:
     return np.asarray(image)
 
 
-def _captioned(rgb: NDArray[np.uint8], execution: Execution, sample: int, speed_up: float) -> NDArray[np.uint8]:
+def _distances(execution: Execution, thing: str) -> list[str]:
+    if not execution.beside_hand:
+        return [f"no true {thing}"] * len(execution.time_s)
+    return [f"tool to {thing} {distance_m * 1e3:4.0f} mm" for distance_m in execution.tool_to_hand_m]
+
+
+def _captioned(
+    rgb: NDArray[np.uint8], execution: Execution, sample: int, speed_up: float, distance: str
+) -> NDArray[np.uint8]:
     from PIL import Image, ImageDraw, ImageFont
 
     height, width = rgb.shape[:2]
     image = Image.new("RGB", (width, height + _BAR_PX), _BAR_RGB)
     image.paste(Image.fromarray(rgb))
-    distance_m = execution.tool_to_hand_m[sample]
-    distance = f"tool to hand {distance_m * 1e3:4.0f} mm" if execution.beside_hand else "no true hand"
     text = (
         f"{execution.time_s[sample]:5.1f} s (x{speed_up:.1f})   {PHASES[execution.phase[sample]]:<8}   "
         f"{execution.reference_speed_mps[sample] * 1e3:4.0f} mm/s   {distance}"

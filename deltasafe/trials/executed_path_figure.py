@@ -1,6 +1,7 @@
 """Figure of an executed motion: over the image that it was planned from, with clearance, tracking error and speed."""
 
 import pathlib
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,6 +22,16 @@ from deltasafe.trials.motion_figure import body_outlines
 Array = NDArray[np.float64]
 
 
+class Caption(NamedTuple):
+    """Title of the figure, and display name of the obstacle."""
+
+    title: str = ""
+    thing: str = "hand"
+
+
+_NO_CAPTION = Caption()
+
+
 def executed_over_image(
     rgb: NDArray[np.uint8],
     p_occupied_image: NDArray[np.float32],
@@ -28,7 +39,7 @@ def executed_over_image(
     motion: PlannedMotion,
     execution: Execution,
     destination: str | pathlib.Path,
-    title: str = "",
+    caption: Caption = _NO_CAPTION,
 ) -> None:
     """Draw an executed motion with its plan.
 
@@ -42,6 +53,7 @@ def executed_over_image(
         motion: with a trajectory.
         execution: of this motion.
         destination: file that is written atomically; the suffix selects the format.
+        caption: title, and name of the obstacle.
 
     Raises:
         SettingsError: images and camera differ in size, or the motion has no trajectory.
@@ -50,10 +62,10 @@ def executed_over_image(
     if motion.profile is None:
         raise SettingsError(f"there is no motion to draw: {motion.reason}")
     speed = _speed_mps(execution)
-    _draw_image(figure, image, p_occupied_image, camera, motion, execution, speed)
-    _draw_limits(axes, motion, execution, speed)
-    if title:
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    _draw_image(image, p_occupied_image, camera, motion, execution, speed, caption.thing)
+    _draw_limits(axes, motion, execution, speed, caption.thing)
+    if caption.title:
+        figure.suptitle(caption.title, x=0.01, ha="left", fontsize=11)
     save_figure(figure, destination)
 
 
@@ -74,15 +86,16 @@ def _speed_mps(execution: Execution) -> Array:
 
 
 def _draw_image(
-    figure: Figure,
     ax: Axes,
     p_occupied_image: NDArray[np.float32],
     camera: Camera,
     motion: PlannedMotion,
     execution: Execution,
     speed: Array,
+    thing: str,
 ) -> None:
-    judged = execution.judged
+    figure, judged = ax.figure, execution.judged
+    assert isinstance(figure, Figure)
     level = over_image.draw_delta_contour(ax, p_occupied_image, motion.settings.delta)
     planned, _ = camera.project(execution.reference_poses[judged, :3])
     executed, _ = camera.project(execution.tool_positions_m[judged])
@@ -91,16 +104,16 @@ def _draw_image(
         figure, ax, executed, speed[judged], motion.settings.v_max_mps, "executed speed", linewidths=3.0
     )
     handles = [level, *over_image.mark_ends(ax, planned)]
-    handles.insert(1, _draw_closest(ax, camera, execution))
+    handles.insert(1, _draw_closest(ax, camera, execution, thing))
     over_image.finish_image(ax, handles, camera)
     if execution.stop_reason:
         ax.set_title(f"stopped by the monitor: {execution.stop_reason}", color=LIMIT, fontsize=9, loc="left")
 
 
-def _draw_closest(ax: Axes, camera: Camera, execution: Execution) -> Line2D:
-    """Draw the tool at its closest pose to the true hand; return the legend entry."""
+def _draw_closest(ax: Axes, camera: Camera, execution: Execution, thing: str) -> Line2D:
+    """Draw the tool at its closest pose to the true obstacle; return the legend entry."""
     if not execution.beside_hand:
-        return Line2D([], [], ls="none", label="distance to the hand: not judged")
+        return Line2D([], [], ls="none", label=f"distance to the {thing}: not judged")
     closest = int(np.argmin(np.where(execution.judged, execution.tool_to_hand_m, np.inf)))
     pose = np.append(execution.tool_positions_m[closest], yaw_of(execution.tool_quaternions[closest]))
     edge, _ = camera.project(body_outlines(pose[None], execution.body)[0])
@@ -110,13 +123,13 @@ def _draw_closest(ax: Axes, camera: Camera, execution: Execution) -> Line2D:
     return Line2D([], [], color=INK, lw=1.4, label=f"tool at its closest pose, {nearest_mm:.1f} mm")
 
 
-def _draw_limits(axes: list[Axes], motion: PlannedMotion, execution: Execution, speed: Array) -> None:
+def _draw_limits(axes: list[Axes], motion: PlannedMotion, execution: Execution, speed: Array, thing: str) -> None:
     profile, settings, judged = motion.profile, motion.settings, execution.judged
     assert profile is not None
     arc_mm, planned_mm = 1000 * arc_length_of_samples_m(execution)[judged], 1000 * profile.arc_length_m
     clear, error, fast = axes
     if execution.beside_hand:
-        clear.plot(arc_mm, 1000 * execution.tool_to_hand_m[judged], color=CLEAR, lw=1.8, label="to the true hand")
+        clear.plot(arc_mm, 1000 * execution.tool_to_hand_m[judged], color=CLEAR, lw=1.8, label=f"to the true {thing}")
     clear.plot(planned_mm, 1000 * profile.clearance_m, color=INK, lw=1.1, ls="--", label="planned clearance $d_o$")
     clear.set(ylabel="distance [mm]", ylim=(0, None))
     allowed = motion.tracking.error_m(np.maximum(execution.reference_speed_mps[judged], settings.v_min_mps))

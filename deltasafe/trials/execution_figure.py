@@ -9,13 +9,14 @@ from deltasafe.planning import MotionSettings
 _TOOL, _ARM, _BOUND, _ERROR = "#1f6fb2", "#8a8d91", "#c8452d", "#1f6fb2"
 
 
-def execution_figure(execution: Execution, settings: MotionSettings, title: str = "") -> Figure:
+def execution_figure(execution: Execution, settings: MotionSettings, title: str = "", thing: str = "hand") -> Figure:
     """Return three panels over time; approach and retreat are shaded.
 
     Args:
         execution: the recording.
         settings: of the motion; the bound is drawn as gamma(max(v, v_min)).
         title: above the figure, usually the scene.
+        thing: display name of the obstacle.
     """
     figure = Figure(figsize=(8, 7), layout="constrained")
     distance, error, speed = figure.subplots(3, 1, sharex=True)
@@ -23,14 +24,14 @@ def execution_figure(execution: Execution, settings: MotionSettings, title: str 
     if execution.beside_hand:
         distance.plot(time_s, execution.tool_to_hand_m * 1e3, color=_TOOL, label="tool")
     else:
-        distance.plot([], [], color="none", label="not judged: the scene has no true hand")
+        distance.plot([], [], color="none", label=f"not judged: the scene has no true {thing}")
         distance.set_yticks([])
     if np.isfinite(execution.arm_to_hand_m).any():
         distance.plot(time_s, execution.arm_to_hand_m * 1e3, color=_ARM, label="links of the arm")
     touched = execution.contacts > 0
     if touched.any():
         distance.plot(time_s[touched], np.zeros(touched.sum()), "x", color=_BOUND, label="contact")
-    distance.set_ylabel("distance to\nthe hand [mm]")
+    distance.set_ylabel(f"distance to\nthe {thing} [mm]")
     distance.set_ylim(bottom=0 if not touched.any() else -8)
     v_min_mps = settings.v_min_mps
     allowed = settings.tracking.error_m(np.maximum(execution.reference_speed_mps, v_min_mps)) * 1e3

@@ -36,7 +36,7 @@ def require_supported_alpha(delta: float, alpha: float, calibration: Calibration
     if math.isinf(margin.fraction_of_width):
         raise SettingsError(
             f"motion_alpha = {alpha:g} has no finite margin at delta = {delta:g}: in too many of the {margin.n_images} "
-            "calibration images no pixel exceeds delta although a hand is there; use a smaller delta or a larger alpha"
+            "calibration images no pixel of the obstacle exceeds delta; use a smaller delta or a larger alpha"
         )
     return margin
 

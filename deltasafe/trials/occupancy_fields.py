@@ -27,11 +27,14 @@ def write_fields(
 ) -> None:
     """Write `p_occupied.npy` (H, W) float32, `grid.npz` and the image stamp `seen.json` of each scene, atomically.
 
+    `dataset.json` says what the ensemble detects, unless it is hands.
+
     Raises:
         DataError: an image is unreadable or not of its camera's size.
         SettingsError: a grid would have too many voxels.
     """
     with atomic_folder(folder) as temporary:
+        ensemble.info.save(temporary)
         for done, scene in enumerate(scenes, start=1):
             rgb = read_scene_image(scene)
             p_occupied = ensemble.p_occupied(rgb)

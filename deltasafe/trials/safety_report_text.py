@@ -1,17 +1,18 @@
 """The safety report as Markdown: `templates/safety_report.md.j2`."""
 
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
 from deltasafe.reporting.templates import render
 from deltasafe.trials.safety_report import SafetyReport
 
 
-def safety_markdown(report: SafetyReport) -> str:
-    """Return the report with links to the figures and films beside it."""
-    return render("deltasafe.trials", "safety_report.md.j2", **_values(report), pictures=True)
+def safety_markdown(report: SafetyReport, info: DatasetInfo = HANDS) -> str:
+    """Return the report with links to the figures and films beside it; ``info`` names the obstacle."""
+    return render("deltasafe.trials", "safety_report.md.j2", **_values(report), info=info, pictures=True)
 
 
-def safety_summary(report: SafetyReport) -> str:
+def safety_summary(report: SafetyReport, info: DatasetInfo = HANDS) -> str:
     """Return the report without figures and films."""
-    return render("deltasafe.trials", "safety_report.md.j2", **_values(report), pictures=False)
+    return render("deltasafe.trials", "safety_report.md.j2", **_values(report), info=info, pictures=False)
 
 
 def _values(report: SafetyReport) -> dict[str, object]:

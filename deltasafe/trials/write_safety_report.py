@@ -5,12 +5,13 @@ import pathlib
 import shutil
 
 from deltasafe.compute.progress import Progress, silent
-from deltasafe.execution import SafetyVerdict, evaluate_execution, save_film
+from deltasafe.execution import SafetyVerdict, Workcell, evaluate_execution, save_film
 from deltasafe.io.images import read_rgb
 from deltasafe.io.storage import atomic_folder, write_json
+from deltasafe.perception.data.dataset_info import DatasetInfo
 from deltasafe.planning import PlannedMotion
 from deltasafe.scene import LoggedScene
-from deltasafe.trials.executed_path_figure import executed_over_image
+from deltasafe.trials.executed_path_figure import Caption, executed_over_image
 from deltasafe.trials.execution_figure import execution_figure
 from deltasafe.trials.executions import load_execution, load_outcomes
 from deltasafe.trials.motions import PlannedScenes, load_motion
@@ -36,8 +37,9 @@ def write_safety_report(
             unsafe ones are filmed in addition.
     """
     outcomes = {outcome.scene_id: outcome for outcome in load_outcomes(executions)}
-    scenes = planned.scenes
+    scenes, info = planned.scenes, DatasetInfo.load(planned.fields)
     with atomic_folder(folder) as temporary:
+        info.save(temporary)
         reports, delta, alpha = [], 0.0, 0.0
         for done, scene in enumerate(scenes, start=1):
             motion, outcome = load_motion(planned.motions, scene.id), outcomes[scene.id]
@@ -52,14 +54,15 @@ def write_safety_report(
         for done, scene in enumerate((scene for scene in scenes if scene.id in filmed), start=1):
             film = temporary / f"{scene.id}.gif"
             execution = load_execution(executions, scene.id)
-            save_film(film, execution, scene.camera, scene.mesh_if_known(), table_z_m=scene.table_z_m)
+            cell = Workcell(execution.body, scene.mesh_if_known(), scene.table_z_m)
+            save_film(film, execution, scene.camera, cell, thing=info.singular)
             progress(done, len(filmed), f"filmed {scene.id}")
         films = {name: f"{name}.gif" for name in filmed}
         reports = [dataclasses.replace(report, film=films.get(report.scene_id, "")) for report in reports]
         report = SafetyReport(delta, tuple(reports), alpha)
         write_json(temporary / "report.json", {"figures": report.figures(), **dataclasses.asdict(report)})
-        (temporary / "report.md").write_text(safety_markdown(report), encoding="utf-8")
-        (temporary / "summary.md").write_text(safety_summary(report), encoding="utf-8")
+        (temporary / "report.md").write_text(safety_markdown(report, info), encoding="utf-8")
+        (temporary / "summary.md").write_text(safety_summary(report, info), encoding="utf-8")
         tile_pictures([temporary / f"{scene.id}-plan.png" for scene in scenes], temporary / "plans.jpg")
         executed = [temporary / f"{scene.id}-executed.png" for scene in scenes if outcomes[scene.id].executed]
         if executed:
@@ -70,8 +73,9 @@ def write_safety_report(
 def _evaluate_scene(
     scene: LoggedScene, motion: PlannedMotion, fields: pathlib.Path, executions: pathlib.Path, folder: pathlib.Path
 ) -> SafetyVerdict:
-    execution = load_execution(executions, scene.id)
-    execution_figure(execution, motion.settings, scene.id).savefig(folder / f"{scene.id}-execution.png", dpi=110)
+    execution, thing = load_execution(executions, scene.id), DatasetInfo.load(fields).singular
+    figure = execution_figure(execution, motion.settings, scene.id, thing)
+    figure.savefig(folder / f"{scene.id}-execution.png", dpi=110)
     executed_over_image(
         read_rgb(scene.image_path),
         load_p_occupied(fields, scene.id),
@@ -79,7 +83,7 @@ def _evaluate_scene(
         motion,
         execution,
         folder / f"{scene.id}-executed.png",
-        title=scene.id,
+        Caption(scene.id, thing),
     )
     grid = load_occupancy_grid(fields, scene.id)
     return evaluate_execution(execution, grid, motion.settings, motion.margin_m)

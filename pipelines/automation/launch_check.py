@@ -12,7 +12,9 @@ import dagster as dg
 from assets.config import SettingsConfig
 from assets.interfaces import Store
 from assets.run_settings import conflicting_deltas
-from deltasafe.errors import DeltasafeError, SettingsError
+from deltasafe.errors import DataError, DeltasafeError, SettingsError
+from deltasafe.perception.data.dataset_info import DatasetInfo
+from pipelines.home import require_obstacle
 
 
 def launch_error(run_config: Mapping[str, Any], steps: Collection[str], store: Store) -> str:
@@ -71,6 +73,11 @@ def defective_inputs(run_config: Mapping[str, Any], steps: Collection[str], stor
     if inputs.scenes is not None:
         inputs = dataclasses.replace(inputs, n_scenes=config("logged_scenes").n_scenes)
     defects = unconverted + inputs.defects()
+    if inputs.training is not None and not defects:
+        try:
+            require_obstacle(store.home, DatasetInfo.load(inputs.training.folder).obstacle)
+        except DataError as error:
+            defects.append(f"training images: {error}")
     listed = "".join(f"\n{defect}" for defect in defects)
     return f"nothing was run, since inputs are defective:{listed}" if defects else ""
 

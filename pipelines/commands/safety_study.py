@@ -48,7 +48,7 @@ def main() -> int:
 
 
 def _film(root: pathlib.Path, trial: int) -> int:
-    from deltasafe.execution import save_film
+    from deltasafe.execution import Workcell, save_film
     from deltasafe.studies.safety import SafetyStudy, replay
     from pipelines.commands.run_job import latest_folder
 
@@ -58,7 +58,7 @@ def _film(root: pathlib.Path, trial: int) -> int:
         assert predictor is not None
         scene, execution = replay(study.settings, study.inputs.scenes, predictor, trial)
         film = pathlib.Path(f"trial-{trial}.gif")
-        save_film(film, execution, scene.camera, scene.true_mesh(), table_z_m=scene.table_z_m)
+        save_film(film, execution, scene.camera, Workcell(execution.body, scene.true_mesh(), scene.table_z_m))
     except DeltasafeError as error:
         print(f"safety_study: {error}", file=sys.stderr)
         return 1

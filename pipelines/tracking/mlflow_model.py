@@ -4,7 +4,7 @@ import mlflow
 import numpy as np
 
 
-class HandEnsemble(mlflow.pyfunc.PythonModel):
+class OccupancyEnsemble(mlflow.pyfunc.PythonModel):
     """Predicts p_occupied (B, H, W) float32 from images (B, H, W, 3) uint8."""
 
     def load_context(self, context):  # type: ignore[no-untyped-def]
@@ -17,4 +17,4 @@ class HandEnsemble(mlflow.pyfunc.PythonModel):
         return np.stack([self.ensemble.p_occupied(image) for image in np.asarray(images)])
 
 
-mlflow.models.set_model(HandEnsemble())
+mlflow.models.set_model(OccupancyEnsemble())

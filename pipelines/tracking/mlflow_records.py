@@ -14,9 +14,9 @@ from typing import Any
 
 from deltasafe.errors import DeltasafeError
 from pipelines.addresses import masked
-from pipelines.home import PROJECT, TRACKING_VARIABLE, mlflow_ui
+from pipelines.home import PROJECT, TRACKING_VARIABLE, mlflow_ui, obstacle_of
 from pipelines.tracking.artifact_locations import artifact_location
-from pipelines.tracking.model_versions import MODEL_NAME, ModelVersions
+from pipelines.tracking.model_versions import ModelVersions, model_name
 
 EXPERIMENT = "deltasafe"
 
@@ -58,7 +58,7 @@ class MlflowRecords(ModelVersions):
         if chosen is not None:
             os.environ[TRACKING_VARIABLE] = chosen
         self.uri = uri
-        super().__init__(mlflow.MlflowClient(uri))
+        super().__init__(mlflow.MlflowClient(uri), model_name(obstacle_of(home)))
         known = self.client.get_experiment_by_name(EXPERIMENT)
         location = None if uri.startswith("http") else artifact_location(home)
         self.experiment = known.experiment_id if known else self.client.create_experiment(EXPERIMENT, location)
@@ -159,11 +159,11 @@ class MlflowRecords(ModelVersions):
             self.client.set_terminated(run, end_time=ended_ms)  # the block above has set it to now
             own = {key: value for key, value in call["tags"].items() if not key.startswith("mlflow.")}
             tags = {**own, "artifact": artifact, IDENTITY_TAG: call["identity"]}
-            found = mlflow.register_model(model.model_uri, MODEL_NAME, tags=tags)
+            found = mlflow.register_model(model.model_uri, self.name, tags=tags)
             card = pathlib.Path(call["folder"], "model_card.md")
             if card.is_file():
                 text = card.read_text(encoding="utf-8")[:_MAX_DESCRIPTION]
-                self.client.update_model_version(MODEL_NAME, found.version, text)
+                self.client.update_model_version(self.name, found.version, text)
         self.make_challenger(found)
         return run
 

@@ -12,7 +12,13 @@ from typing import Any
 CHOOSE = "choose one: `make rollback`, or python -m pipelines.commands.registry promote VERSION --because TEXT"
 """Remedy where no version is in use."""
 
-MODEL_NAME = "deltasafe-hand-ensemble"
+
+def model_name(obstacle: str) -> str:
+    """Return the name of the registered model whose versions detect an obstacle."""
+    return f"deltasafe-{obstacle.replace('_', '-')}-ensemble"
+
+
+MODEL_NAME = model_name("hand")
 CHAMPION = "champion"
 CHALLENGER = "challenger"
 DEMOTED_TAG = "taken_out_of_use"
@@ -30,15 +36,17 @@ class ModelVersions:
 
     Args:
         client: an `mlflow.MlflowClient`.
+        name: of the registered model.
     """
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, client: Any, name: str = MODEL_NAME) -> None:
         self.client = client
+        self.name = name
 
     def versions(self) -> list[Any]:
         """Return all versions with their aliases, newest first."""
         model = self._model()
-        found = [] if model is None else self.client.search_model_versions(f"name='{MODEL_NAME}'")
+        found = [] if model is None else self.client.search_model_versions(f"name='{self.name}'")
         for version in found:  # the search leaves the aliases out
             version.aliases = [name for name, number in model.aliases.items() if str(number) == str(version.version)]
         return sorted(found, key=lambda version: int(version.version), reverse=True)
@@ -71,7 +79,7 @@ class ModelVersions:
                 self.demote(last, "the alias champion was removed by hand in MLflow")
             done = "was deleted" if last is None else "lost the alias champion"
             none = f"no version is in use, since version {history[-1]} {done} in MLflow"
-            self.client.set_registered_model_tag(MODEL_NAME, _NONE_TAG, none)
+            self.client.set_registered_model_tag(self.name, _NONE_TAG, none)
 
     def objection(self, artifact: str) -> str:
         """Return the decision of a person that forbids to promote a version for its figures; empty if none does."""
@@ -87,7 +95,7 @@ class ModelVersions:
     def make_challenger(self, version: Any) -> None:
         """Set the alias `challenger`, unless the version is the champion."""
         if not self._has_alias(CHAMPION, version):
-            self.client.set_registered_model_alias(MODEL_NAME, CHALLENGER, version.version)
+            self.client.set_registered_model_alias(self.name, CHALLENGER, version.version)
 
     def promote(self, artifact: str, reason: str, *, by_hand: bool = False, over: str = "", demoted: str = "") -> Any:
         """Set the alias `champion`, and append the version to the history; return the version.
@@ -120,33 +128,33 @@ class ModelVersions:
     def refuse(self, artifact: str, reason: str) -> Any:
         """Tag a version with the reason why it stays challenger; return the version."""
         version = self._require(artifact)
-        self.client.set_model_version_tag(MODEL_NAME, version.version, "refused", reason)
+        self.client.set_model_version_tag(self.name, version.version, "refused", reason)
         return version
 
     def demote(self, version: Any, reason: str) -> None:
         """Tag a version with the reason why it is no longer used, and remove it from the history."""
-        self.client.set_model_version_tag(MODEL_NAME, version.version, DEMOTED_TAG, reason)
+        self.client.set_model_version_tag(self.name, version.version, DEMOTED_TAG, reason)
         self._write_history([number for number in self.history() if number != str(version.version)])
 
     def _use(self, version: Any, reason: str, by_hand: bool) -> None:
         history, number = self.history(), version.version
         if history[-1:] != [str(number)]:  # first, so that an interrupted promotion never looks like a person's
             self._write_history([*history, str(number)])
-        self.client.set_registered_model_alias(MODEL_NAME, CHAMPION, number)
+        self.client.set_registered_model_alias(self.name, CHAMPION, number)
         if self._has_alias(CHALLENGER, version):
-            self.client.delete_registered_model_alias(MODEL_NAME, CHALLENGER)
-        self.client.set_model_version_tag(MODEL_NAME, number, "promoted", reason)
+            self.client.delete_registered_model_alias(self.name, CHALLENGER)
+        self.client.set_model_version_tag(self.name, number, "promoted", reason)
         if by_hand:
             newest = str(self.versions()[0].version)
-            self.client.set_model_version_tag(MODEL_NAME, number, _CHOSEN_TAG, newest)
+            self.client.set_model_version_tag(self.name, number, _CHOSEN_TAG, newest)
         for tag in ("refused", DEMOTED_TAG, *(() if by_hand else (_CHOSEN_TAG,))):
             if tag in version.tags:
-                self.client.delete_model_version_tag(MODEL_NAME, number, tag)
+                self.client.delete_model_version_tag(self.name, number, tag)
         if self.none_in_use():
-            self.client.delete_registered_model_tag(MODEL_NAME, _NONE_TAG)
+            self.client.delete_registered_model_tag(self.name, _NONE_TAG)
 
     def _model(self) -> Any:
-        return next(iter(self.client.search_registered_models(f"name='{MODEL_NAME}'")), None)
+        return next(iter(self.client.search_registered_models(f"name='{self.name}'")), None)
 
     def _model_tags(self) -> dict[str, str]:
         model = self._model()
@@ -154,7 +162,7 @@ class ModelVersions:
 
     def _write_history(self, history: Sequence[str]) -> None:
         value = json.dumps(list(history)[-_HISTORY_LENGTH:])
-        self.client.set_registered_model_tag(MODEL_NAME, _HISTORY_TAG, value)
+        self.client.set_registered_model_tag(self.name, _HISTORY_TAG, value)
 
     def _has_alias(self, alias: str, version: Any) -> bool:
         model = self._model()
@@ -163,5 +171,5 @@ class ModelVersions:
     def _require(self, artifact: str) -> Any:
         version = self.version_of(artifact)
         if version is None:
-            raise LookupError(f"{MODEL_NAME} has no version with the content {artifact}; freeze and register it again")
+            raise LookupError(f"{self.name} has no version with the content {artifact}; freeze and register it again")
         return version

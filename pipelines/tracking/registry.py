@@ -7,7 +7,7 @@ from deltasafe.errors import DataError
 from deltasafe.io.storage import read_json, write_json
 from pipelines.home import tracking_uri
 from pipelines.tracking.frozen_folder import frozen_folder
-from pipelines.tracking.model_versions import CHOOSE, MODEL_NAME
+from pipelines.tracking.model_versions import CHOOSE
 from pipelines.tracking.tracker import MlflowTracker, is_reachable
 
 
@@ -37,7 +37,7 @@ class EnsembleRegistry:
                 records.adopt_decisions()
                 version, none = records.champion(), records.none_in_use()
                 if none:
-                    raise DataError(MODEL_NAME, f"{none}; {CHOOSE}")
+                    raise DataError(records.name, f"{none}; {CHOOSE}")
                 if version is not None:
                     folder = frozen_folder(version, self.tracker.home)
                     if folder.name != noted:
@@ -96,7 +96,7 @@ class EnsembleRegistry:
         number = "" if present is None else str(present.version)
         earlier = [each for each in history if each in versions and each != number]
         if not earlier:
-            raise DataError(MODEL_NAME, "has no version that was in use before; `make registry` lists all")
+            raise DataError(records.name, "has no version that was in use before; `make registry` lists all")
         if present is None:
             return self._choose(versions[earlier[-1]], f"rolled back: {because}")
         reason = f"rolled back from version {number}: {because}"

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from typing import Any
 
 from pipelines.tracking.mlflow_records import IDENTITY_TAG, PARENT_TAG, MlflowRecords
-from pipelines.tracking.model_versions import DEMOTED_TAG, MODEL_NAME
+from pipelines.tracking.model_versions import DEMOTED_TAG
 
 
 def superfluous_versions(records: MlflowRecords, n_kept: int, oldest_ms: int) -> list[Any]:
@@ -61,7 +61,7 @@ def superfluous_runs(
 
 def delete_version(records: MlflowRecords, version: Any) -> None:
     """Delete a version of the model."""
-    records.client.delete_model_version(MODEL_NAME, version.version)
+    records.client.delete_model_version(records.name, version.version)
 
 
 def delete_run(records: MlflowRecords, run: str) -> None:

@@ -11,8 +11,9 @@ from typing import Any
 
 from assets.interfaces import TrainedMember
 from deltasafe.io.locks import FileLock
+from deltasafe.perception.data.dataset_info import HANDS
 from pipelines.addresses import masked
-from pipelines.home import set_quiet_environment, tracking_uri
+from pipelines.home import require_obstacle, set_quiet_environment, tracking_uri
 from pipelines.tracking.artifact_locations import follow_home
 from pipelines.tracking.call_queue import CallQueue
 from pipelines.tracking.mlflow_records import MlflowRecords, RecordingBlockedError
@@ -74,7 +75,17 @@ class MlflowTracker:
         return self.call("report", identity=identity, figures=values, folder=str(folder), data=dict(data))
 
     def register(self, identity: str, folder: pathlib.Path) -> str | None:
-        """Register a frozen ensemble as challenger; one with the same content keeps its version."""
+        """Register a frozen ensemble as challenger; one with the same content keeps its version.
+
+        Raises:
+            DataError: the ensemble detects another obstacle than those of the home.
+        """
+        from deltasafe.perception.artifact.manifest import info_of_manifest, load_manifest
+
+        info = info_of_manifest(folder, load_manifest(folder))
+        require_obstacle(self.home, info.obstacle)
+        if info.obstacle != HANDS.obstacle:
+            info.save(self.home)
         return self.call("register", identity=identity, folder=str(folder))
 
     def call(self, kind: str, /, **arguments: Any) -> str | None:

@@ -2,7 +2,8 @@
 
 import pytest
 
-from assets.run_settings import conflicting_deltas, planning_delta
+from assets.run_settings import conflicting_deltas, gate_thresholds, planning_delta
+from deltasafe.perception.settings import GateThresholds
 from deltasafe.presets import PRESETS
 from pipelines.automation.launch_check import wrong_settings
 
@@ -37,6 +38,15 @@ def test_a_report_with_another_delta_is_refused_before_the_run():
     assert conflicting_deltas(run_config(motion=0.02)) == ""
     assert "0.1, but planned_motions plans with delta 0.02" in conflicting_deltas(run_config(motion=0.02, report=0.1))
     assert f"plans with delta {PRESET_DELTA:g}" in wrong_settings(run_config(report=0.1))
+
+
+def test_thresholds_of_the_gate_are_those_of_the_run_else_of_the_data_set_else_of_the_preset():
+    preset, of_dataset = GateThresholds(0.5, 0.5, 0.5), GateThresholds(0.9, 0.8, 0.7)
+    given = {"ops": {"calibration_report_may_be_frozen": {"config": {"miou": 0.6}}}}
+    assert gate_thresholds({}, preset, None) == preset
+    assert gate_thresholds({}, preset, of_dataset) == of_dataset
+    assert gate_thresholds(given, GateThresholds(0.5, 0.6, 0.5), of_dataset) == GateThresholds(0.9, 0.6, 0.7)
+    assert gate_thresholds(given, GateThresholds(0.5, 0.6, 0.5), None) == GateThresholds(0.5, 0.6, 0.5)
 
 
 @pytest.mark.parametrize("name", PRESETS)

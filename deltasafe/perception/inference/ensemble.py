@@ -9,6 +9,7 @@ from torch.nn.functional import interpolate
 
 from deltasafe.errors import SettingsError
 from deltasafe.perception.calibration.temperature import pooled_probability
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
 from deltasafe.perception.inference.backends import InferenceBackend, TorchBackend
 from deltasafe.perception.inference.lazy_backend import LazyBackend
 from deltasafe.perception.settings import InferenceSettings
@@ -17,7 +18,7 @@ from deltasafe.perception.training.network import SegmentationNetwork
 
 
 class Ensemble:
-    """M networks with uniform weights.
+    """M networks with uniform weights. ``info`` says what they detect.
 
     Thread-safe. Can be pickled and copied before and after its first use, and used in a forked process, where it
     computes with one thread.
@@ -28,6 +29,8 @@ class Ensemble:
         device: see `pick_device`.
         temperature: divides the logit of the mean; 1 changes nothing.
     """
+
+    info: DatasetInfo = HANDS
 
     def __init__(
         self,

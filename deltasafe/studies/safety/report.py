@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.execution.film import save_film
+from deltasafe.execution.workcell import Workcell
 from deltasafe.io.storage import atomic_folder, write_json
 from deltasafe.reporting.templates import render
 from deltasafe.studies.safety.evidence import by_speed, evaluate_all, failures, pair, touched
@@ -91,8 +92,8 @@ def _film_failures(study: SafetyStudy, folder: pathlib.Path, progress: Progress)
     for done, trial in enumerate(chosen, start=1):
         scene, execution = replay(study.settings, inputs.scenes, inputs.predictor, trial)
         films[trial] = f"trial-{trial}.gif"
-        mesh = scene.true_mesh()
-        save_film(folder / films[trial], execution, scene.camera, mesh, table_z_m=scene.table_z_m)
+        cell = Workcell(execution.body, scene.true_mesh(), scene.table_z_m)
+        save_film(folder / films[trial], execution, scene.camera, cell)
         progress(done, len(chosen), f"filmed trial {trial}")
     return films
 

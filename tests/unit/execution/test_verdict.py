@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from deltasafe.errors import SettingsError
-from deltasafe.execution import Execution, evaluate_execution, save_film
+from deltasafe.execution import Execution, Workcell, evaluate_execution, save_film
 from deltasafe.execution.kinematics import ArmMount, IiwaKinematics
 from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.planning.audit import body_points
@@ -151,7 +151,7 @@ def test_body_points_lie_in_the_body_and_reach_its_ends():
 def test_film_moves_and_figure_shows_the_distance(tmp_path, hand):
     camera = Camera(640, 480, 768.75, 768.75, 320.0, 240.0, np.array([0, 0, 0.5]), np.diag([1.0, -1.0, -1.0]))
     run = recording(LINE)
-    save_film(tmp_path / "run.gif", run, camera, hand, seconds=0.4, view_width=120)
+    save_film(tmp_path / "run.gif", run, camera, Workcell(run.body, hand), seconds=0.4, view_width=120)
     with Image.open(tmp_path / "run.gif") as film:
         assert film.n_frames == 4
         first = np.asarray(film.convert("RGB")).astype(int)
@@ -162,4 +162,4 @@ def test_film_moves_and_figure_shows_the_distance(tmp_path, hand):
     np.testing.assert_allclose(drawn, 50.0)
     figure.savefig(tmp_path / "run.png")
     with pytest.raises(SettingsError, match="GIF"):
-        save_film(tmp_path / "run.mp4", run, camera, hand)
+        save_film(tmp_path / "run.mp4", run, camera, Workcell(run.body, hand))

@@ -14,7 +14,7 @@ from deltasafe.execution.recording import PHASES
 from deltasafe.geometry import Pose
 from deltasafe.planning import MotionSettings, plan_motion
 from deltasafe.scene import Camera, grid_from_image
-from deltasafe.trials.executed_path_figure import arc_length_of_samples_m, executed_over_image
+from deltasafe.trials.executed_path_figure import Caption, arc_length_of_samples_m, executed_over_image
 
 CAMERA = Camera(160, 120, 192.0, 192.0, 80.0, 60.0, np.array([0.0, 0.0, 0.5]), np.diag([1.0, -1.0, -1.0]))
 P_OCCUPIED = np.clip(1.5 - np.hypot(*(np.mgrid[:120, :160] + 0.5 - np.array([70, 80])[:, None, None])) / 20, 0, 1)
@@ -65,7 +65,7 @@ def test_complete_and_stopped_executions_are_drawn(tmp_path: pathlib.Path) -> No
         ("whole", executed(motion)),
         ("stopped", dataclasses.replace(executed(motion), stop_reason="error")),
     ):
-        executed_over_image(image, P_OCCUPIED, CAMERA, motion, execution, tmp_path / f"{name}.png", title="scene")
+        executed_over_image(image, P_OCCUPIED, CAMERA, motion, execution, tmp_path / f"{name}.png", Caption("scene"))
         drawn = imread(tmp_path / f"{name}.png")
         assert min(drawn.shape[:2]) > 400
         assert drawn[..., :3].std() > 0.1

@@ -10,6 +10,7 @@ import pytest
 from deltasafe.execution import ExecutionSettings
 from deltasafe.io.storage import read_json
 from deltasafe.perception.calibration.delta_support import Calibration
+from deltasafe.perception.data.dataset_info import HANDS
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import FieldSettings
 from deltasafe.trials.executions import execute_scenes, load_execution
@@ -26,6 +27,8 @@ CALIBRATION = Calibration(50, 1, 0.98, 0.95, 0.01, 0.05, 0.01, smallest_supporte
 
 class FreeTable:
     """Predicts the same small probability everywhere."""
+
+    info = HANDS
 
     def p_occupied(self, rgb):
         return np.full(rgb.shape[:2], 0.001, np.float32)

@@ -13,9 +13,11 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.execution import ExecutionSettings, Workcell, execute
 from deltasafe.geometry import Trajectory
 from deltasafe.perception.calibration.delta_support import Calibration
+from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
 from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.planning.audit import audit_trajectory
 from deltasafe.scene import FieldSettings, OccupancyGrid, load_scenes
+from deltasafe.trials.execution_figure import execution_figure
 from deltasafe.trials.executions import execute_scenes, load_execution, load_outcomes
 from deltasafe.trials.motions import PlannedScenes, load_motion, plan_scenes
 from deltasafe.trials.occupancy_fields import (
@@ -25,6 +27,7 @@ from deltasafe.trials.occupancy_fields import (
     miss_rates_at_delta,
     write_fields,
 )
+from deltasafe.trials.safety_report_text import safety_markdown
 from deltasafe.trials.selection import load_selection, select_scenes
 from deltasafe.trials.write_safety_report import write_safety_report
 
@@ -34,6 +37,8 @@ CALIBRATION = Calibration(50, 1, 0.98, 0.95, 0.01, 0.05, 0.01, smallest_supporte
 
 class Oracle:
     """Predicts the blurred true mask."""
+
+    info = HANDS
 
     def __init__(self, scenes):
         import cv2
@@ -214,10 +219,21 @@ def test_another_task_is_another_selection(tmp_path):
         load_selection(tmp_path / "selection")
 
 
-def test_a_selection_of_too_many_scenes_is_refused(tmp_path):
-    n = len(load_scenes(SCENES))
-    with pytest.raises(SettingsError, match=f"between 0 \\(all\\) and {n}"):
-        select_scenes(SCENES, n + 1, tmp_path / "selection")
+def test_the_number_of_scenes_is_a_limit(tmp_path):
+    shutil.copytree(SCENES / "scene_000", tmp_path / "source" / "scene_000")
+    assert len(select_scenes(tmp_path / "source", 9, tmp_path / "selection")) == 1
+    with pytest.raises(SettingsError, match="n_scenes must be positive, or 0"):
+        select_scenes(SCENES, -1, tmp_path / "selection")
+
+
+def test_reports_and_figures_name_another_obstacle(chain):
+    _, root, motions, _, report = chain
+    text = safety_markdown(report, DatasetInfo("coffee_cup"))
+    assert "smallest distance of the tool to the true coffee cup" in text
+    assert not re.search(r"\bhands?\b", text, re.IGNORECASE)
+    execution = load_execution(root / "executions", "scene_000")
+    figure = execution_figure(execution, motions["scene_000"].settings, thing="coffee cup")
+    assert figure.axes[0].get_ylabel() == "distance to\nthe coffee cup [mm]"
 
 
 def test_an_image_of_another_size_than_its_camera_is_refused(tmp_path):
