@@ -104,14 +104,21 @@ class ReportConfig(dg.Config):
 
 
 def _checked_hands(config: HandsConfig, store: Store, asset: str, packaged: str) -> dg.Output[pathlib.Path]:
-    from deltasafe.perception.data.labeled_images import LabeledImageSet
+    from deltasafe.perception.data.labeled_images import LabeledImageSet, check_distinct
     from deltasafe.perception.data.labeled_images_figure import labeled_images_figure
 
     folder, registry = config.input(store, asset, packaged)
     hands = LabeledImageSet.load(folder, registry)
+    if asset == "test_hands":
+        check_distinct(hands, "test")
     sheet = inline_jpeg(labeled_images_figure(hands), "labeled images")
     facts = {"images": len(hands), "obstacle": hands.info.singular, **folder_facts(folder, hands.digest[:16])}
     metadata: dict[str, Any] = {"examples": sheet, **facts}
+    metadata |= {"images without a hand": len(hands.without_hand)} if hands.without_hand else {}
+    if hands.copies:
+        copies = "; ".join(f"{item.image.name} of {first.image.name}" for item, first in hands.copies)
+        dg.get_dagster_logger().warning(f"copies count twice in training, remove them if that is not meant: {copies}")
+        metadata["copies"] = copies
     if config.source:
         metadata["conversion"] = dg.MetadataValue.md((folder / "import.md").read_text(encoding="utf-8"))
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))

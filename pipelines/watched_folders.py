@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 
 from deltasafe.errors import DataError
+from deltasafe.io.folder_entries import is_clutter
 from deltasafe.io.storage import digest_of, read_json, sha256_of_file, write_json
 
 HANDS_VARIABLE = "DELTASAFE_WATCHED_HANDS"
@@ -77,9 +78,9 @@ def digest_of_folder(
 
 
 def _files(folder: pathlib.Path) -> Iterator[tuple[pathlib.Path, list[int]]]:
-    """Yield the files below ``folder`` that are not hidden, sorted by path, with size, times in ns, and inode."""
+    """Yield the files below ``folder`` except clutter, sorted by path, with size, times in ns, and inode."""
     for path in sorted(folder.rglob("[!.]*")):
-        if any(part.startswith(".") for part in path.relative_to(folder).parts):
+        if is_clutter(*path.relative_to(folder).parts):
             continue
         with contextlib.suppress(OSError):
             if path.is_file():

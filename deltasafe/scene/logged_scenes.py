@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from deltasafe.errors import DataError, SettingsError
 from deltasafe.geometry import Pose
 from deltasafe.io.arrays import read_npz
+from deltasafe.io.folder_entries import is_clutter
 from deltasafe.io.storage import read_json
 from deltasafe.scene.camera import Camera
 from deltasafe.scene.extrusion import FieldSettings, useful_area
@@ -96,7 +97,7 @@ def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
     """
     folder, defects = pathlib.Path(folder), []
     scenes = []
-    for path in sorted(folder.glob("*/scene.json")):
+    for path in scene_files(folder):
         try:
             scenes.append(LoggedScene.load(path.parent))
         except DataError as error:
@@ -110,6 +111,11 @@ def load_scenes(folder: str | pathlib.Path) -> tuple[LoggedScene, ...]:
         twice = sorted({scene_id for scene_id in ids if ids.count(scene_id) > 1})
         raise DataError(folder, f"scene ids must be unique, these occur more than once: {twice}; rename one")
     return tuple(scenes)
+
+
+def scene_files(folder: pathlib.Path) -> list[pathlib.Path]:
+    """Return the files ``scene.json`` in the sub-folders of ``folder``, without hidden ones and those of desktops."""
+    return sorted(path for path in folder.glob("*/scene.json") if not is_clutter(path.parent.name))
 
 
 def check_scene(path: pathlib.Path, record: Any) -> tuple[dict[str, Any], list[DataError]]:

@@ -143,8 +143,9 @@ def check_scenes(context: dg.SensorEvaluationContext, folder: pathlib.Path, memo
         memory: folder for what the sensor remembers.
     """
     from deltasafe.scene import LoggedScene
+    from deltasafe.scene.logged_scenes import scene_files
 
-    stamps = {path.parent.name: stamp_of_folder(path.parent) for path in sorted(folder.glob("*/scene.json"))}
+    stamps = {path.parent.name: stamp_of_folder(path.parent) for path in scene_files(folder)}
     state, requests = WatchState.load(context.cursor, memory), []
     state.defects = {name: text for name, text in state.defects.items() if name in stamps}
     for name in state.settled(stamps):

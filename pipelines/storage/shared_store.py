@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 from deltasafe.errors import DataError, DeltasafeError, SettingsError
+from deltasafe.io.folder_entries import is_clutter
 from deltasafe.io.storage import atomic_file, atomic_folder, parse_json, sha256_of_file
 
 STORE_VARIABLE = "DELTASAFE_STORE"
@@ -244,7 +245,7 @@ def manifest_of_folder(folder: pathlib.Path) -> Manifest:
     files, folders = {}, []
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder)
-        if any(part.startswith(".") for part in name.parts):
+        if is_clutter(*name.parts):
             continue
         if path.is_dir():
             if path.is_symlink():
