@@ -1,7 +1,6 @@
 """Label files that the tools wrote themselves (tests/golden/labels) give the pixels that the tools read from them."""
 
 import json
-import pathlib
 import shutil
 import sys
 
@@ -15,21 +14,9 @@ from deltasafe.errors import DataError, SettingsError
 from deltasafe.perception.data.importing.import_hands import import_hands
 from deltasafe.perception.data.importing.settings import ImportSettings
 from deltasafe.perception.data.labeled_images import LabeledImageSet
+from evidence.labels import GOLDEN, SOURCES, lay_out, read_masks
 
-GOLDEN = pathlib.Path(__file__).parents[3] / "golden" / "labels"
 HAND = ImportSettings(classes=("hand",))
-# where each format has its images, and the format that is recognized
-PLACES = {
-    "coco": ("images/train", "coco"),
-    "coco-runs": ("train", "coco"),
-    "coco-compressed": (".", "coco"),
-    "cvat": ("images", "cvat"),
-    "cvat-masks": ("JPEGImages", "cvat-masks"),
-    "labelme": ("../images", "labelme"),
-    "label-studio": ("deeper/images", "label-studio"),
-    "voc": ("JPEGImages", "voc"),
-    "roboflow": ("train", "coco"),
-}
 VOC_PERSON = ImportSettings(classes=("person",))
 
 
@@ -37,26 +24,18 @@ VOC_PERSON = ImportSettings(classes=("person",))
 def source(tmp_path):
     """Return a function that lays out the labels and images of a format."""
 
-    def laid_out(name):
-        folder = tmp_path / name
-        shutil.copytree(GOLDEN / name, folder)
-        (folder / PLACES[name][0]).mkdir(parents=True, exist_ok=True)
-        for image in (GOLDEN / "images").iterdir():
-            shutil.copy(image, folder / PLACES[name][0])
-        return folder
-
-    return laid_out
+    return lambda name: lay_out(name, tmp_path)
 
 
 def masks_of(folder):
-    return {path.stem: np.asarray(Image.open(path)) == 255 for path in (folder / "masks").iterdir()}
+    return read_masks(folder / "masks")
 
 
-@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("name", SOURCES)
 def test_labels_of_each_tool_give_its_own_pixels(source, tmp_path, name):
     report = import_hands(source(name), tmp_path / "out", VOC_PERSON if name == "voc" else HAND)
-    assert report.format == PLACES[name][1]
-    expected = {path.stem: np.asarray(Image.open(path)) for path in (GOLDEN / "expected" / name).iterdir()}
+    assert report.format == ("coco" if name == "roboflow" else SOURCES[name][0])
+    expected = read_masks(GOLDEN / "expected" / name)
     found = masks_of(tmp_path / "out")
     for stem, mask in expected.items():
         np.testing.assert_array_equal(found.pop(stem), mask, err_msg=stem)
