@@ -20,7 +20,8 @@ def make_hands(
     surroundings: Surroundings | None = None,
     progress: Progress = silent,
 ) -> None:
-    """Render pictures 0 to ``count`` - 1 into ``folder``: ``images/``, ``masks/``, ``recipes/``, datasheet, registry.
+    """Render pictures 0 to ``count`` - 1 into ``folder``: ``images/``, ``masks/``, ``recipes/``, ``dataset.json``,
+    datasheet, registry.
 
     Picture i is a function of settings, surroundings and i alone. Existing pictures are kept, so an interrupted run
     resumes, and a larger ``count`` extends a complete set.
@@ -41,7 +42,9 @@ def make_hands(
                 temporary.write_bytes(content)
         write_json(recipe_files[index], recipe)  # written last, because it marks the picture as complete
     write_datasheet(folder, "recipes/*.json", settings)
+    write_json(folder / "dataset.json", {"images": "rendered"})
     files = sorted(path for kind in ("images", "masks", "recipes") for path in (folder / kind).iterdir())
+    files = [folder / "dataset.json", *files]
     lines = [f"{sha256_of_file(path)}  {path.relative_to(folder).as_posix()}\n" for path in files]
     with atomic_file(folder / "registry.sha256") as temporary:
         temporary.write_text("".join(lines), encoding="utf-8")
