@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from deltasafe.cameras import read_camera
+from deltasafe.cameras import CameraModel, locate, read_camera
 from deltasafe.cameras.board import Board, draw_board
 from deltasafe.cameras.locate import MAX_TABLE_STD_M, _table_std_m, locate_camera
 from deltasafe.cli import main
@@ -138,6 +138,24 @@ def test_images_that_do_not_determine_the_pose_are_refused():
     with pytest.raises(SettingsError, match=r"two poses|table is known within|corners of the board"):
         locate_camera(far, model, Board.parse(APRILTAG))
     assert locate_camera(image, model, board).table_std_m < MAX_TABLE_STD_M / 5
+
+
+@pytest.mark.parametrize(("distance_m", "words"), [(8.0, "two poses that are 5[0-9].. degrees apart"), (0.3, None)])
+def test_a_second_pose_that_fits_as_well_is_noticed(monkeypatch, distance_m, words):
+    """From afar a plane tilted to one side looks like one tilted to the other (weak perspective)."""
+    model = CameraModel(640, 480, 1000 * distance_m, 1000 * distance_m, 320.0, 240.0)
+    view = look_at(np.array([0.05, 0.04, 0.0]), distance_m, 0.45, 0.3, 0.0)
+    corners_m = np.stack(np.meshgrid(np.arange(5) * 0.025, np.arange(4) * 0.025, [0.0]), axis=-1).reshape(-1, 3)
+    noise = np.random.default_rng(0).normal(0, 0.15, (20, 2))
+    uv = model.placed(view.position_m, view.rotation).project(corners_m) + noise
+    monkeypatch.setattr(locate, "_detect", lambda image, board: (corners_m, uv, 10))
+    image = np.zeros((480, 640, 3), np.uint8)
+    if words is None:
+        found = locate_camera(image, model, Board.parse(CHARUCO)).model
+        assert np.linalg.norm(found.position_m - view.position_m) < 0.003
+    else:
+        with pytest.raises(SettingsError, match=words):
+            locate_camera(image, model, Board.parse(CHARUCO))
 
 
 @pytest.mark.parametrize(
