@@ -82,10 +82,11 @@ class MlflowTracker:
         """
         from deltasafe.perception.artifact.manifest import info_of_manifest, load_manifest
 
-        info = info_of_manifest(folder, load_manifest(folder))
-        require_obstacle(self.home, info.obstacle)
-        if info.obstacle != HANDS.obstacle:
-            info.save(self.home)
+        if (folder / "manifest.json").is_file():  # an incomplete folder is set aside with its reason when it is sent
+            info = info_of_manifest(folder, load_manifest(folder))
+            require_obstacle(self.home, info.obstacle)
+            if info.obstacle != HANDS.obstacle:
+                info.save(self.home)
         return self.call("register", identity=identity, folder=str(folder))
 
     def call(self, kind: str, /, **arguments: Any) -> str | None:
