@@ -93,9 +93,8 @@ def _draw_image(ax: Axes, rgb: NDArray[np.uint8], scene: LoggedScene, grid: Grid
     border.set_label("border of the view; beyond it, space below the hand's height counts as occupied")
     ax.add_patch(border)
     origin_m = _axes_origin(camera, grid)
-    tips = [_draw_arrow(ax, camera, origin_m, axis, grid.step_m) for axis in range(3)]
-    for (name, color), tip in zip(AXES, tips, strict=True):
-        _label(ax, tip, name, color, 17)
+    for axis in (2, 0, 1):  # z may hide y where the camera looks along y
+        _label(ax, _draw_arrow(ax, camera, origin_m, axis, grid.step_m), *AXES[axis], 17)
     origin = ", ".join(f"{value:.3g}" for value in origin_m)
     _label(ax, camera.project(origin_m[None])[0][0] + (0, 0.035 * camera.height), f"({origin})", INK, 8)
     for (name, color), pose in zip(ENDS, (scene.start, scene.goal), strict=True):
