@@ -62,7 +62,7 @@ def refusal(instance):
     """Return the skip reason of the sensor for defective images; None if there is none yet."""
     for state in instance.all_instigator_state(instigator_type=InstigatorType.SENSOR):
         for tick in instance.get_ticks(state.instigator_origin_id, state.selector_id):
-            if "not used for training" in (tick.skip_reason or ""):
+            if "not used until it is changed" in (tick.skip_reason or ""):
                 return tick.skip_reason
     return None
 
@@ -84,7 +84,7 @@ def wait_for(found, daemon, instance):
 @pytest.mark.filterwarnings("ignore")  # warnings of MLflow
 def test_a_changed_image_becomes_a_new_challenger_and_what_follows_is_made_again(home, daemon):
     root, instance, mask, good = home
-    assert wait_for(lambda: refusal(instance), daemon, instance).startswith("not used for training")
+    assert wait_for(lambda: refusal(instance), daemon, instance).startswith("not used until it is changed")
     assert instance.get_runs() == []
 
     mask.write_bytes(good)
