@@ -142,7 +142,8 @@ def _chosen_classes(source: pathlib.Path, labels: LabelSource, settings: ImportS
         DataError: none is found, the choice is ambiguous, or a chosen one does not occur; lists what was found.
     """
     counts = collections.Counter(name for image in labels.images for name in image.classes)
-    listed = ", ".join(f"{name} ({n} images)" for name, n in counts.most_common(_MAX_LISTED)) or "none"
+    ranked = sorted(counts.items(), key=lambda entry: (-entry[1], entry[0]))
+    listed = ", ".join(f"{name} ({n} images)" for name, n in ranked[:_MAX_LISTED]) or "none"
     if settings.threshold:
         return [f">= {settings.threshold:g}"]
     if ANY_CLASS in settings.classes:
