@@ -25,7 +25,6 @@ from deltasafe.planning import (
     CheckSettings,
     DistanceField,
     MotionSettings,
-    body_clearance_m,
     is_segment_safe,
     segment_test,
 )
@@ -134,7 +133,6 @@ def test_poses_that_the_planner_accepts_are_not_stopped_within_the_margin():
         for offset_m in (np.zeros(3), error_m):
             state = ArmState(zero, zero, pose[:3] + offset_m, target.quaternion)
             assert monitor.violation(float(next(times)), state, target, is_planned=True) == "", (pose, offset_m)
-            only_by_the_test += float(body_clearance_m(planned, (pose + np.append(offset_m, 0))[None])[0]) < 0
             accepted += 1
     assert accepted > 100
 
