@@ -331,6 +331,8 @@ def main(arguments: list[str] | None = None) -> int:
         for name, value in dataclasses.asdict(tally).items()
         if name != "failures"
     }
+    if not tally.motions_solved:  # without a solved motion there is no cost that could rise
+        del figures["cost_increases"]
     options.state = None
     return finish(options, figures, tally.failures)
 
