@@ -145,7 +145,7 @@ def _export(options: argparse.Namespace) -> None:
 
 def _evaluate(options: argparse.Namespace) -> None:
     from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
-    from deltasafe.perception.evaluate_folder import evaluate_folder
+    from deltasafe.perception.folder_evaluation import evaluate_folder
 
     def show(done: int, total: int, message: str) -> None:
         if sys.stderr.isatty():

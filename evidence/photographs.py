@@ -11,7 +11,7 @@ import tempfile
 
 from deltasafe.errors import SettingsError
 from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
-from deltasafe.perception.evaluate_folder import evaluate_folder, metrics
+from deltasafe.perception.folder_evaluation import evaluate_folder, metrics
 from evidence.reporting import command_parser, finish
 
 DELTA = 0.05

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deltasafe.perception.data.importing.settings import ImportSettings
     from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
     from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble, freeze_ensemble
-    from deltasafe.perception.evaluate_folder import evaluate_folder
+    from deltasafe.perception.folder_evaluation import evaluate_folder
     from deltasafe.perception.settings import GateThresholds, InferenceSettings, NetworkSettings, TrainingSettings
     from deltasafe.perception.training.member import Member
     from deltasafe.perception.training.train_ensemble import train_ensemble
@@ -66,7 +66,7 @@ _HOMES = {
     "data.importing.settings": ["ImportSettings"],
     "data.labeled_images": ["LabeledImageSet", "check_disjoint"],
     "evaluate_and_freeze": ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"],
-    "evaluate_folder": ["evaluate_folder"],
+    "folder_evaluation": ["evaluate_folder"],
     "settings": ["GateThresholds", "InferenceSettings", "NetworkSettings", "TrainingSettings"],
     "training.member": ["Member"],
     "training.train_ensemble": ["train_ensemble"],

@@ -12,7 +12,7 @@ import pytest
 from deltasafe.errors import DataError
 from deltasafe.perception.calibration.report import CalibrationReport
 from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo
-from deltasafe.perception.evaluate_folder import evaluate_folder
+from deltasafe.perception.folder_evaluation import evaluate_folder
 from tests.ensembles import CALIBRATION, write_hands
 
 TEMPERATURE = 0.7
