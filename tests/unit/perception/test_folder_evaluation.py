@@ -48,7 +48,7 @@ def folder(tmp_path):
 def without_plots(monkeypatch):
     """Skip the pages, which take seconds; the figures are computed."""
     monkeypatch.setattr(
-        "deltasafe.perception.evaluate_folder.write_calibration_report", lambda folder, *_: folder.mkdir(exist_ok=True)
+        "deltasafe.perception.folder_evaluation.write_calibration_report", lambda folder, *_: folder.mkdir(exist_ok=True)
     )
 
 
@@ -144,7 +144,7 @@ def test_a_copy_in_the_folder_is_refused(folder, tmp_path):
 
 
 def test_large_images_are_scaled_down_with_mask_and_ignored_pixels(folder, tmp_path, monkeypatch, without_plots):
-    monkeypatch.setattr("deltasafe.perception.evaluate_folder.EVALUATION_PIXELS", 24 * 32)
+    monkeypatch.setattr("deltasafe.perception.folder_evaluation.EVALUATION_PIXELS", 24 * 32)
     report = evaluate_folder(FakeEnsemble(), folder, tmp_path / "report")
     assert [image.n_pixels for image in report.images] == [24 * 32, 24 * 32 - 18, *[24 * 32] * 3]
     assert [image.n_hand_pixels for image in report.images] == [2 * 5, 3 * 5 - 3, 3 * 5, 4 * 5, 4 * 5]
