@@ -47,9 +47,8 @@ def folder(tmp_path):
 @pytest.fixture
 def without_plots(monkeypatch):
     """Skip the pages, which take seconds; the figures are computed."""
-    monkeypatch.setattr(
-        "deltasafe.perception.folder_evaluation.write_calibration_report", lambda folder, *_: folder.mkdir(exist_ok=True)
-    )
+    pages = "deltasafe.perception.folder_evaluation.write_calibration_report"
+    monkeypatch.setattr(pages, lambda folder, *_: folder.mkdir(exist_ok=True))
 
 
 def expected_scores(folder, name):
