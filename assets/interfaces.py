@@ -84,7 +84,7 @@ class Tracker(Protocol):
 
 
 class Registry(Protocol):
-    """The registry of frozen ensembles, one of them is in use."""
+    """The registry of frozen ensembles and the one in use."""
 
     def champion(self) -> pathlib.Path | None:
         """Return the folder of the ensemble in use; None before the first promotion."""

@@ -9,10 +9,10 @@ import pathlib
 import sys
 import tempfile
 
-from deltasafe.errors import SettingsError
 from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
 from deltasafe.perception.folder_evaluation import evaluate_folder, metrics
-from evidence.reporting import command_parser, finish
+from evidence.reporting import command_parser, finish, named_folder
+from pipelines.command_line import run_command
 
 DELTA = 0.05
 
@@ -27,9 +27,7 @@ def main() -> int:
     figures: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as reports:
         for entry in options.set:
-            name, separator, folder = entry.partition("=")
-            if not separator or not name.isidentifier():
-                raise SettingsError(f"--set must be NAME=FOLDER, with a name of letters, digits and _, got {entry!r}")
+            name, folder = named_folder(entry)
             report = evaluate_folder(ensemble, folder, pathlib.Path(reports) / name, planning_delta=DELTA)
             interval, missed = report.final.predictor, metrics(report)["missed_at_delta"]
             print(f"{name}: {len(report.image_ids)} photographs", flush=True)
@@ -44,4 +42,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_command(main))

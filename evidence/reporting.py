@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from deltasafe.compute.progress import Progress
+from deltasafe.errors import SettingsError
 from pipelines.commands.records import merge_part
 
 
@@ -24,6 +25,18 @@ def command_parser(module: str, description: str | None, *, seeded: bool = False
     if seeded:
         parser.add_argument("--seed", type=int, default=0, help="random seed (default 0)")
     return parser
+
+
+def named_folder(entry: str) -> tuple[str, pathlib.Path]:
+    """Split NAME=FOLDER of an option ``--set``.
+
+    Raises:
+        SettingsError: it has another form.
+    """
+    name, separator, folder = entry.partition("=")
+    if not separator or not name.isidentifier():
+        raise SettingsError(f"--set must be NAME=FOLDER, with a name of letters, digits and _, got {entry!r}")
+    return name, pathlib.Path(folder)
 
 
 def print_progress(every: int) -> Progress:

@@ -20,6 +20,12 @@ UNATTENDED_VARIABLE = "DELTASAFE_UNATTENDED"
 UNATTENDED = {"dagster/max_retries": "2", "dagster/retry_strategy": "FROM_FAILURE"}
 """Tags of runs that a sensor or the schedule starts: if their process is killed, Dagster retries them."""
 
+
+def is_unattended() -> bool:
+    """Return whether schedules and the sensors that start work are on from the beginning."""
+    return os.environ.get(UNATTENDED_VARIABLE) == "1"
+
+
 ALL_MEMBERS = _all_partitions(members)
 ALL_CELLS = _all_partitions(cells)
 
@@ -80,7 +86,7 @@ tracking_study = dg.define_asset_job(
     job=perception,
     cron_schedule="0 3 * * 0",
     execution_timezone="UTC",
-    default_status=dg.DefaultScheduleStatus("RUNNING" if os.environ.get(UNATTENDED_VARIABLE) == "1" else "STOPPED"),
+    default_status=dg.DefaultScheduleStatus("RUNNING" if is_unattended() else "STOPPED"),
     description="Retrains all members on Sundays at 3:00 UTC, on the watched images if there are any.",
 )
 def retraining(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:

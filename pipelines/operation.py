@@ -10,6 +10,7 @@ import dagster as dg
 
 from deltasafe.errors import DeltasafeError, SettingsError
 from pipelines.home import home, run_page
+from pipelines.jobs import is_unattended
 from pipelines.retention import Retention, RetentionSettings
 from pipelines.tracking.reconciliation import reconcile
 from pipelines.tracking.registry import EnsembleRegistry
@@ -69,7 +70,7 @@ housekeeping = dg.define_asset_job(
     job=housekeeping,
     cron_schedule="0 4 * * *",
     execution_timezone="UTC",
-    default_status=dg.DefaultScheduleStatus("RUNNING" if os.environ.get("DELTASAFE_UNATTENDED") == "1" else "STOPPED"),
+    default_status=dg.DefaultScheduleStatus("RUNNING" if is_unattended() else "STOPPED"),
     description="Deletes daily at 4:00 UTC what no setting keeps ($DELTASAFE_KEEP_RUNS, _DAYS, _VERSIONS).",
 )
 def nightly(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:

@@ -48,7 +48,7 @@ class TrackerResource(dg.ConfigurableResource[MlflowTracker]):
 
 
 class RegistryResource(dg.ConfigurableResource[EnsembleRegistry]):
-    """The registry of frozen ensembles, one of which is in use."""
+    """The registry of frozen ensembles and the one in use."""
 
     home: str
 

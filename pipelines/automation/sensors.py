@@ -52,7 +52,7 @@ _LOST_RUNS_DESCRIPTION = (
 def all_sensors(home: pathlib.Path) -> Sequence[dg.SensorDefinition]:
     """Build the sensors for a home. Those that start work are off unless `$DELTASAFE_UNATTENDED` is 1."""
     running = dg.DefaultSensorStatus.RUNNING
-    unattended = os.environ.get(jobs.UNATTENDED_VARIABLE) == "1"
+    unattended = jobs.is_unattended()
     common: dict[str, Any] = {
         "minimum_interval_seconds": int(os.environ.get(INTERVAL_VARIABLE) or 30),
         "default_status": running if unattended else dg.DefaultSensorStatus.STOPPED,

@@ -91,12 +91,11 @@ class Ensemble:
             raise SettingsError(f"an image must be a numpy array, uint8 (H, W, 3), got {found}; {remedy}")
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or 0 in rgb.shape:
             raise SettingsError(f"an image must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
-        scales, total = self.settings.scales, None
-        for scale in scales:
-            p_members = probability(self.backend.member_logits(self.resized(rgb, scale)[None])[0], rgb.shape[:2])
-            total = p_members if total is None else total.add_(p_members)
-        assert total is not None
-        return total if len(scales) == 1 else total.div_(len(scales))
+        each = [
+            probability(self.backend.member_logits(self.resized(rgb, scale)[None])[0], rgb.shape[:2])
+            for scale in self.settings.scales
+        ]
+        return each[0] if len(each) == 1 else torch.stack(each).mean(dim=0)
 
     def resized(self, rgb: NDArray[np.uint8], scale: float = 1.0) -> NDArray[np.uint8]:
         """Scale an image (H, W, 3) uint8 to the input resolution of the networks at one of the scales."""
