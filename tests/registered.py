@@ -1,7 +1,10 @@
 """Publish ensembles as the chain does, and read the registry of a home."""
 
+import importlib
 import pathlib
-from types import SimpleNamespace
+import shutil
+import tempfile
+import warnings
 
 import dagster as dg
 import mlflow
@@ -50,8 +53,20 @@ def versions(home):
         return {found.tags["artifact"]: found for found in records.versions()}
 
 
-def log_files(*, name, artifacts, **_):
+def light_registration(patch):
+    """Let ``patch`` replace the slow part of a registration by `_log_files`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of MLflow, as it is imported
+        # `mlflow.pyfunc` is a placeholder until its first use, and then replaced: a patch of the placeholder is lost
+        module = importlib.import_module("mlflow.pyfunc")
+    patch.setattr(module, "log_model", _log_files)
+
+
+def _log_files(*, name, artifacts, **_):
     """Log the files of an ensemble alone: MLflow would run the model to infer its requirements, for seconds."""
-    run, folder = mlflow.active_run().info, pathlib.Path(artifacts["ensemble"])
-    mlflow.log_artifacts(str(folder), f"{name}/artifacts/{folder.name}")
-    return SimpleNamespace(model_uri=f"{run.artifact_uri}/{name}", run_id=run.run_id)
+    run, client, folder = mlflow.active_run().info, mlflow.MlflowClient(), pathlib.Path(artifacts["ensemble"])
+    model = client.create_logged_model(run.experiment_id, name, run.run_id)
+    with tempfile.TemporaryDirectory() as files:
+        shutil.copytree(folder, pathlib.Path(files, "artifacts", folder.name))
+        client.log_model_artifacts(model.model_id, files)
+    return client.finalize_logged_model(model.model_id, "READY")

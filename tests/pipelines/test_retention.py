@@ -15,7 +15,7 @@ from pipelines.storage.shared_store import STORE_VARIABLE
 from pipelines.tracking.model_versions import CHAMPION, MODEL_NAME
 from pipelines.tracking.registry import EnsembleRegistry
 from pipelines.tracking.tracker import MlflowTracker
-from tests.registered import aliases, log_files, versions
+from tests.registered import aliases, light_registration, versions
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # warnings of MLflow
 LITTLE = RetentionSettings(runs=1, days=0.0, versions=1)
@@ -114,7 +114,7 @@ def test_an_interrupted_deletion_is_finished(tmp_path, instance):
 
 
 def test_versions_that_matter_stay_with_all_that_they_refer_to(tmp_path, instance, monkeypatch):
-    monkeypatch.setattr("mlflow.pyfunc.log_model", log_files)
+    light_registration(monkeypatch)
     tracker = MlflowTracker(tmp_path, {"dagster_run_id": "deleted"})
     registry, folders = EnsembleRegistry(tracker), []
     for number, is_better in enumerate([True, False, True, True, False]):

@@ -15,16 +15,16 @@ from pipelines.storage.io_manager import FolderPointers
 from pipelines.tracking.model_versions import CHAMPION, MODEL_NAME
 from pipelines.tracking.tracker import MlflowTracker
 from tests.ensembles import freeze_constant, write_hands
-from tests.registered import HANDS, aliases, log_files, materialize, publish, versions
+from tests.registered import HANDS, aliases, light_registration, materialize, publish, versions
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # warnings of MLflow
 KEY = dg.AssetKey("champion")
 
 
 @pytest.fixture(scope="module", autouse=True)
-def light_registration():
+def registered_quickly():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mlflow.pyfunc.log_model", log_files)
+        light_registration(patch)
         yield
 
 

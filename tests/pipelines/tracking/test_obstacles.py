@@ -1,7 +1,5 @@
 """A home is for one obstacle, which names its registered model."""
 
-import warnings
-
 import mlflow
 import pytest
 
@@ -11,14 +9,12 @@ from pipelines.home import obstacle_of, require_obstacle, tracking_uri
 from pipelines.tracking.model_versions import MODEL_NAME, model_name
 from pipelines.tracking.tracker import MlflowTracker
 from tests.ensembles import freeze_constant
-from tests.registered import log_files
+from tests.registered import light_registration
 
 
 def test_the_registered_model_is_named_after_the_obstacle(tmp_path, monkeypatch):
     assert model_name("hand") == MODEL_NAME == "deltasafe-hand-ensemble"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of MLflow, as it is imported
-        monkeypatch.setattr("mlflow.pyfunc.log_model", log_files)
+    light_registration(monkeypatch)
     cups = freeze_constant(tmp_path / "made", 0.0, DatasetInfo("coffee_cup", images="rendered"))
     tracker = MlflowTracker(tmp_path)
     tracker.register("i" * 64, cups)

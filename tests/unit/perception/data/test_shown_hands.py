@@ -5,6 +5,7 @@ import types
 import numpy as np
 import pytest
 
+from deltasafe.perception.data.dataset_info import HANDS
 from deltasafe.perception.data.shown_hands import ShownHands
 
 
@@ -17,7 +18,9 @@ def made(masks_of: dict[str, list[int]], without_hand: tuple[str, ...] = ()) -> 
             mask[:n] = 1
             masks.append(mask)
             recipes.append({"source": source})
-    data = types.SimpleNamespace(masks=np.array(masks), recipes=recipes, n=len(masks), without_hand=without_hand)
+    data = types.SimpleNamespace(
+        masks=np.array(masks), recipes=recipes, n=len(masks), without_hand=without_hand, info=HANDS
+    )
     return ShownHands.of(data)
 
 
