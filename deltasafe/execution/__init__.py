@@ -1,11 +1,11 @@
-"""Execution of planned motions on a simulated iiwa 14: control, monitor, recording and evaluation."""
+"""Execution of planned motions on a simulated arm: control, monitor, recording and evaluation."""
 
-from deltasafe.execution.arm import Arm, ArmState, Dynamics
+from deltasafe.execution.arm import Arm, ArmState, Dynamics, JointLimits
+from deltasafe.execution.arm_models import ArmSettings
 from deltasafe.execution.camera_watch import CameraWatch
 from deltasafe.execution.distance import MeshDistance
 from deltasafe.execution.film import save_film
 from deltasafe.execution.impedance import ImpedanceSettings
-from deltasafe.execution.kinematics import JointLimits
 from deltasafe.execution.monitor import MonitorLimits
 from deltasafe.execution.recording import PHASES, Execution
 from deltasafe.execution.settings import ExecutionSettings
@@ -16,6 +16,7 @@ from deltasafe.execution.workcell import Workcell
 __all__ = [
     "PHASES",
     "Arm",
+    "ArmSettings",
     "ArmState",
     "CameraWatch",
     "Dynamics",

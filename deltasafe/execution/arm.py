@@ -1,4 +1,4 @@
-"""Interface of a torque-controlled arm, its measured state, and the dynamics that its controller uses."""
+"""Interface of a torque-controlled arm: its limits, measured state, and the dynamics that its controller uses."""
 
 import dataclasses
 import math
@@ -7,13 +7,64 @@ from typing import NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.execution.kinematics import JointLimits
+from deltasafe.errors import SettingsError
 from deltasafe.geometry import MAX_COORDINATE
 
 Array = NDArray[np.float64]
 
 _UNIT_TOLERANCE = 1e-3
 """Largest deviation of a measured quaternion's squared norm from 1: rounding to float32 gives 1e-7, a dead sensor 1."""
+
+
+@dataclasses.dataclass(frozen=True)
+class JointLimits:
+    """Limits of each joint: lowest and highest position in rad, speed in rad/s, torque in N m."""
+
+    lower_rad: tuple[float, ...]
+    upper_rad: tuple[float, ...]
+    velocity_radps: tuple[float, ...]
+    torque_nm: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        values = dataclasses.astuple(self)
+        if len({len(one) for one in values}) != 1 or not all(math.isfinite(x) for one in values for x in one):
+            raise SettingsError(f"joint limits must be finite numbers, one of each kind for each joint, got {self}")
+        for joint, (low, high, speed, torque) in enumerate(zip(*values, strict=True), start=1):
+            if not (low < high and speed > 0 and torque > 0):
+                raise SettingsError(
+                    f"joint {joint} needs a range, a speed and a torque above 0, got {low} to {high} rad, "
+                    f"{speed} rad/s and {torque} N m"
+                )
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmMount:
+    """Pose of the arm's base in the world."""
+
+    base_x_m: float = 0.0
+    base_y_m: float = 0.65
+    base_z_m: float = 0.1
+    base_yaw_rad: float = -math.pi / 2
+
+    def __post_init__(self) -> None:
+        for name, value in dataclasses.asdict(self).items():
+            if not math.isfinite(value):
+                raise SettingsError(f"{name} must be finite, got {value}")
+
+    def on_table(self, table_z_m: float) -> "ArmMount":
+        """Return the same mount beside a table of that height."""
+        return dataclasses.replace(self, base_z_m=self.base_z_m + table_z_m)
+
+    @property
+    def base_m(self) -> Array:
+        """(3,) position of the base in the world."""
+        return np.array([self.base_x_m, self.base_y_m, self.base_z_m])
+
+    @property
+    def base_rotation(self) -> Array:
+        """(3, 3) world from base."""
+        c, s = np.cos(self.base_yaw_rad), np.sin(self.base_yaw_rad)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclasses.dataclass(frozen=True)

@@ -85,6 +85,18 @@ class ChainModel(NamedTuple):
         )
 
 
+def rotation_of(rpy_rad: Sequence[float] | Array) -> Array:
+    """Rotation (3, 3) of roll, pitch and yaw about fixed axes."""
+    (sr, sp, sy), (cr, cp, cy) = (f(np.asarray(rpy_rad)) for f in (np.sin, np.cos))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
 def _name(joint: ET.Element, end: str) -> str:
     link = joint.find(end)
     assert link is not None
@@ -99,15 +111,7 @@ def _numbers(element: ET.Element | None, attribute: str, default: str) -> Array:
 def _origin(element: ET.Element) -> tuple[Array, Array]:
     """Rotation (3, 3) and offset (3,) of the element's ``origin`` (roll, pitch, yaw about fixed axes)."""
     origin = element.find("origin")
-    (sr, sp, sy), (cr, cp, cy) = (f(_numbers(origin, "rpy", "0 0 0")) for f in (np.sin, np.cos))
-    rotation = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-    return rotation, _numbers(origin, "xyz", "0 0 0")
+    return rotation_of(_numbers(origin, "rpy", "0 0 0")), _numbers(origin, "xyz", "0 0 0")
 
 
 def _body(inertial: ET.Element, rotation: Array, center_m: Array) -> _Body:

@@ -26,6 +26,24 @@ def forward_kinematics(model, q):  # type: ignore[no-untyped-def]  # pragma: no 
 
 
 @compiled
+def tool_jacobian(model, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Return position (3,), quaternion (4,) x, y, z, w and Jacobian (6, n), linear then angular, of the tool."""
+    n = len(q)
+    jacobian, points, axes = np.empty((6, n)), np.empty((n, 3)), np.empty((n, 3))
+    rotation, point = model.base_rotation, model.base_m.copy()
+    for joint in range(n):
+        _add_scaled(point, 1.0, _matvec(rotation, model.offsets_m[joint]))
+        frame = _matmul(rotation, model.rotations[joint])
+        points[joint], axes[joint] = point, _matvec(frame, model.axes[joint])
+        rotation = _matmul(frame, _rotation(model.axes[joint], q[joint]))
+    _add_scaled(point, 1.0, _matvec(rotation, model.offsets_m[n]))
+    for joint in range(n):
+        jacobian[:3, joint] = _cross(axes[joint], point - points[joint])
+        jacobian[3:, joint] = axes[joint]
+    return point, _quaternion(_matmul(rotation, model.rotations[n])), jacobian
+
+
+@compiled
 def rigid_body_dynamics(model, q, q_dot):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Return the ``Dynamics`` of a ``ChainModel`` at joint positions (n,) and velocities (n,).
 

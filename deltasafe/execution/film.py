@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.execution.iiwa_view import ArmView, Viewpoint
+from deltasafe.execution.arm_view import ArmView, Viewpoint
 from deltasafe.execution.recording import PHASES, Execution
 from deltasafe.execution.workcell import Workcell
 from deltasafe.io.storage import atomic_file
@@ -81,7 +81,7 @@ def _frames(
     samples = np.round(np.linspace(0, len(execution.time_s) - 1, count)).astype(int)
     speed_up = float(execution.time_s[-1] / seconds)
     frames = []
-    with ArmView(cell) as arm:
+    with ArmView(cell, execution.arm) as arm:
         for sample in samples:
             views = [
                 _with_paths(arm.render(execution.joint_positions_rad[sample], view), execution, sample, view)

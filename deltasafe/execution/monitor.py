@@ -5,10 +5,9 @@ import math
 
 import numpy as np
 
-from deltasafe.execution.arm import ArmState, measurement_fault
+from deltasafe.execution.arm import ArmState, JointLimits, measurement_fault
 from deltasafe.execution.camera_watch import CameraWatch
 from deltasafe.execution.impedance import TaskReference, pose_error
-from deltasafe.execution.kinematics import JointLimits
 from deltasafe.execution.settings import ExecutionSettings
 from deltasafe.geometry import yaw_of
 from deltasafe.planning import (

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import DataError, SettingsError
+from deltasafe.execution.arm_models import ArmSettings
 from deltasafe.io.arrays import read_npz
 from deltasafe.io.records import from_json
 from deltasafe.io.storage import atomic_folder, read_json, write_json
@@ -56,6 +57,7 @@ class Execution:
         body: the tool.
         seed: of the arm's friction and torque sensor gains.
         stop_reason: why the monitor stopped the arm; empty if it did not.
+        arm: which arm executed.
     """
 
     time_s: NDArray[np.float64]
@@ -72,6 +74,7 @@ class Execution:
     body: ToolBody
     seed: int
     stop_reason: str = ""
+    arm: ArmSettings = dataclasses.field(default_factory=ArmSettings)
 
     def __post_init__(self) -> None:
         count = len(self.time_s)
@@ -130,7 +133,8 @@ class Execution:
 
     def digest(self) -> str:
         """SHA-256 of the recording: equal runs have equal digests."""
-        state = hashlib.sha256(repr((self.body, self.seed, self.stop_reason)).encode())
+        other_arm = () if self.arm == ArmSettings() else (self.arm,)  # recordings before there were others stay valid
+        state = hashlib.sha256(repr((self.body, self.seed, self.stop_reason, *other_arm)).encode())
         for name in COLUMNS:
             array = getattr(self, name)
             state.update(name.encode() + array.dtype.str.encode() + repr(array.shape).encode())
@@ -147,6 +151,7 @@ class Execution:
                 "body": dataclasses.asdict(self.body),
                 "seed": self.seed,
                 "stop_reason": self.stop_reason,
+                "arm": dataclasses.asdict(self.arm),
                 "digest": self.digest(),
             }
             write_json(temporary / "execution.json", about)
@@ -168,9 +173,8 @@ class Execution:
         stored = read_npz(path)
         try:
             arrays = {name: stored[name] for name in COLUMNS}
-            execution = cls(
-                **arrays, body=from_json(ToolBody, about["body"]), seed=about["seed"], stop_reason=about["stop_reason"]
-            )
+            body, arm = from_json(ToolBody, about["body"]), from_json(ArmSettings, about.get("arm", {}))
+            execution = cls(**arrays, body=body, seed=about["seed"], stop_reason=about["stop_reason"], arm=arm)
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(folder, f"holds no execution ({error!r}); execute the motion again") from error
         if execution.digest() != about.get("digest"):

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from deltasafe.execution.arm_models import ArmSettings
 from deltasafe.execution.impedance import ImpedanceSettings
 from deltasafe.setting_ranges import check_range
 
@@ -22,6 +23,7 @@ class ExecutionSettings:
         max_look_age_s: the arm does not start if the image that the motion was planned from is older.
         max_frame_age_s: the arm stops if the camera's newest image is older.
         impedance: gains of the controller.
+        arm: which arm executes.
     """
 
     approach_m: float = 0.05
@@ -33,6 +35,7 @@ class ExecutionSettings:
     max_look_age_s: float = 60.0
     max_frame_age_s: float = 0.5
     impedance: ImpedanceSettings = dataclasses.field(default_factory=ImpedanceSettings)
+    arm: ArmSettings = dataclasses.field(default_factory=ArmSettings)
 
     def __post_init__(self) -> None:
         check_range(self, "[0, inf)", "approach_m", "settle_s", "monitor_margin_m", "brake_delay_s")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from deltasafe.compute.progress import Progress, silent
 from deltasafe.errors import SettingsError
 from deltasafe.execution.arm import Arm, ArmState, measurement_fault
+from deltasafe.execution.arm_models import ArmSettings
 from deltasafe.execution.distance import MeshDistance
 from deltasafe.execution.impedance import TaskReference, impedance_torques
 from deltasafe.execution.monitor import Monitor, MonitorLimits
@@ -42,7 +43,8 @@ def execute(
 
     Args:
         trajectory: the reference at any rate; the controller interpolates it.
-        cell: tool, hand, table and arm.
+        cell: tool, hand and table.
+        settings: among others, which arm executes.
         seed: draws the arm's friction and torque sensor gains.
         limits: enforced by the monitor; the paper's tracking bound alone if None.
         unsafe_below_m: height below which no link of the arm may come (decision 12), usually the top of the field.
@@ -51,6 +53,7 @@ def execute(
         PlanningError: the arm cannot follow (out of reach, a joint range or speed exceeded, a link too low), or its
             first measurement is not finite.
         SettingsError: ``unsafe_below_m`` is not finite.
+        DataError: the arm's URDF file is unusable.
         StaleImageError: the image that the motion was planned from is too old or from the future, or the camera is
             frozen or unusable.
     """
@@ -58,20 +61,20 @@ def execute(
     if limits.camera is not None:
         limits.camera.require_live(settings.max_look_age_s, settings.max_frame_age_s)
     distance = None if cell.mesh is None else MeshDistance(*cell.mesh)
-    with _arm_of(cell, seed) as arm:
+    with _arm_of(cell, settings.arm, seed) as arm:
         reference = Reference(trajectory, settings, arm, unsafe_below_m)
         recorder = _Recorder(reference, arm, cell.body, distance)
         monitor = Monitor(limits, settings, arm.limits, cell.body)
         reason = _drive(arm, reference, recorder, monitor, settings, progress)
-        return recorder.finish(seed, reason)
+        return recorder.finish(seed, reason, settings.arm)
 
 
-def _arm_of(cell: Workcell, seed: int) -> contextlib.AbstractContextManager[Arm]:
+def _arm_of(cell: Workcell, settings: ArmSettings, seed: int) -> contextlib.AbstractContextManager[Arm]:
     if cell.make_arm is not None:
         return cell.make_arm(seed)
-    from deltasafe.execution.iiwa_arm import IiwaArm  # loads PyBullet
+    from deltasafe.execution.simulated_arm import SimulatedArm  # loads PyBullet
 
-    return IiwaArm(cell, seed)
+    return SimulatedArm(cell, seed, settings)
 
 
 def _drive(
@@ -161,10 +164,10 @@ class _Recorder:
             )
         )
 
-    def finish(self, seed: int, stop_reason: str) -> Execution:
+    def finish(self, seed: int, stop_reason: str, arm: ArmSettings) -> Execution:
         columns = dict(zip(COLUMNS, zip(*self._rows, strict=True), strict=True))
         arrays: dict[str, Any] = {name: np.array(column, dtype=COLUMNS[name][0]) for name, column in columns.items()}
-        return Execution(body=self._body, seed=seed, stop_reason=stop_reason, **arrays)
+        return Execution(body=self._body, seed=seed, stop_reason=stop_reason, arm=arm, **arrays)
 
     def _to_hand_m(self, state: ArmState) -> tuple[float, float]:
         """Distances of tool and links to the hand; the previous distances and the motion since bound the search."""

@@ -21,7 +21,8 @@ class Workcell:
         body: the tool at the flange.
         mesh: vertices_m (V, 3) and triangles (F, 3) of the hand, solid in the simulation; None: no hand.
         table_z_m: height of the table; the arm stands beside it.
-        make_arm: returns an arm for a seed, which draws its friction and sensor gains; None: the simulated iiwa 14.
+        make_arm: returns an arm for a seed, which draws its friction and sensor gains; None: the arm that
+            ``ExecutionSettings`` names, simulated.
     """
 
     body: ToolBody

@@ -11,7 +11,8 @@ import numpy as np
 from deltasafe.cameras.calibration_files import ImageKind, read_camera
 from deltasafe.cameras.model import CameraModel
 from deltasafe.errors import DataError, PlanningError, SettingsError
-from deltasafe.execution.kinematics import ArmMount, IiwaKinematics
+from deltasafe.execution.arm import ArmMount
+from deltasafe.execution.iiwa_kinematics import IiwaKinematics
 from deltasafe.io.images import read_image
 from deltasafe.io.storage import atomic_folder, read_json, write_json
 from deltasafe.perception.data.masks import read_mask
@@ -101,7 +102,7 @@ def scene_warnings(scene: LoggedScene, body: ToolBody | None = None) -> list[str
     """Say why no motion will be found or executed, as far as that can be known without a prediction."""
     body, camera, found = body or ToolBody(), scene.camera, []
     top_m = scene.table_z_m + scene.hand_height_m + FieldSettings.depth_margin_m
-    arm = IiwaKinematics(ArmMount.beside(scene.table_z_m), body.shaft_length_m)
+    arm = IiwaKinematics(ArmMount().on_table(scene.table_z_m), body.shaft_length_m)
     for name, pose in (("start", scene.start), ("goal", scene.goal)):
         uv, _ = camera.project(body_outlines(pose.as_array()[None], body)[0])
         inside = (uv > 0) & (uv < (camera.width, camera.height))  # false for NaN

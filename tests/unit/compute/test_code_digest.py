@@ -43,7 +43,7 @@ def test_editing_a_module_outside_the_closure_keeps_the_key(sources, module):
 
 def test_imports_inside_functions_count():
     """The runs of the safety study import the simulator only where it is needed."""
-    assert "deltasafe.execution.iiwa" in modules_behind(run_scenario)
+    assert "deltasafe.execution.world" in modules_behind(run_scenario)
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from deltasafe.execution.kinematics import (
+from deltasafe.execution.arm import ArmMount
+from deltasafe.execution.iiwa_kinematics import (
     BASE_TO_SHOULDER_M,
     ELBOW_TO_WRIST_M,
     SHOULDER_TO_ELBOW_M,
     WRIST_TO_FLANGE_M,
-    ArmMount,
 )
 from tests.unit.execution.conftest import BODY
 

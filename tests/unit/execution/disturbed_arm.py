@@ -3,7 +3,7 @@
 import dataclasses
 
 from deltasafe.execution import Workcell
-from deltasafe.execution.iiwa_arm import IiwaArm
+from deltasafe.execution.simulated_arm import SimulatedArm
 
 
 @dataclasses.dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Push:
     link: int = 7
 
 
-class DisturbedArm(IiwaArm):
+class DisturbedArm(SimulatedArm):
     """Times count from the last reset; the payload is added to the last link."""
 
     def __init__(self, cell, seed, push=None, payload_kg=0.0):

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from deltasafe.execution.arm import ArmState, Dynamics
-from deltasafe.execution.kinematics import JointLimits
+from deltasafe.execution.arm import ArmState, Dynamics, JointLimits
 
 
 class FloatingTool:
@@ -14,7 +13,7 @@ class FloatingTool:
 
     def __init__(self, control_period_s=1e-3, drag_ns_per_m=0.0):
         self.control_period_s = control_period_s
-        self.limits = JointLimits((10.0,) * 6, (10.0,) * 6, (100.0,) * 6)
+        self.limits = JointLimits((-10.0,) * 6, (10.0,) * 6, (10.0,) * 6, (100.0,) * 6)
         self._drag = drag_ns_per_m
         self._q, self._q_dot = np.zeros(6), np.zeros(6)
         self._braked = False

@@ -8,10 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution import Workcell
+from deltasafe.execution.arm import ArmMount
+from deltasafe.execution.arm_models import ArmModel, ArmSettings
 from deltasafe.execution.chain_model import ChainModel
 from deltasafe.execution.dynamics import forward_kinematics, rigid_body_dynamics
-from deltasafe.execution.iiwa import World
-from deltasafe.execution.kinematics import ArmMount, IiwaKinematics
+from deltasafe.execution.iiwa_kinematics import IiwaKinematics
+from deltasafe.execution.world import World
 from tests.unit.execution.closed_form import tool_pose
 from tests.unit.execution.conftest import BODY
 
@@ -29,7 +31,7 @@ KINEMATICS = IiwaKinematics(ArmMount(), BODY.shaft_length_m)
 
 @pytest.fixture(scope="module")
 def world():
-    opened = World(Workcell(BODY), ArmMount())
+    opened = World(Workcell(BODY), ArmModel.of(ArmSettings()))
     yield opened
     opened.close()
 

@@ -18,8 +18,8 @@ from deltasafe.execution import (
     execute,
 )
 from deltasafe.execution.arm import ArmState
+from deltasafe.execution.iiwa_kinematics import IIWA14_LIMITS
 from deltasafe.execution.impedance import TaskReference
-from deltasafe.execution.kinematics import IIWA14_LIMITS
 from deltasafe.execution.monitor import Monitor
 from deltasafe.planning import (
     CheckSettings,

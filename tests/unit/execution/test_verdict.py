@@ -9,7 +9,8 @@ from PIL import Image
 
 from deltasafe.errors import SettingsError
 from deltasafe.execution import Execution, Workcell, evaluate_execution, save_film
-from deltasafe.execution.kinematics import ArmMount, IiwaKinematics
+from deltasafe.execution.arm import ArmMount
+from deltasafe.execution.iiwa_kinematics import IiwaKinematics
 from deltasafe.planning import MotionSettings, ToolBody
 from deltasafe.planning.audit import body_points
 from deltasafe.scene import Camera, OccupancyGrid

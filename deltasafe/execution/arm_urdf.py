@@ -1,4 +1,4 @@
-"""URDF of the iiwa 14: PyBullet's model with the real arm's limits, and the planner's tool as an eighth link."""
+"""URDF of an arm: the chain from its base to the flange with the arm's limits, and the planner's tool as last link."""
 
 import math
 import pathlib
@@ -8,49 +8,121 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from deltasafe.execution.kinematics import IIWA14_LIMITS
+from deltasafe.errors import DataError
+from deltasafe.execution.arm import JointLimits
+from deltasafe.execution.arm_models import ArmModel
+from deltasafe.execution.chain_model import rotation_of
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.parts import ToolPart
 
-FLANGE_IN_LINK_7_M = 0.045
+TOOL_LINK = "tool"
+LIMITS = ("lower", "upper", "velocity", "effort")
 TOOL_DENSITY_KGPM3 = 1200.0  # printed plastic
 TOOL_RGBA = (0.05, 0.50, 0.42, 1.0)
 LINK_RGBA = (0.82, 0.83, 0.85, 1.0)
 
 
-def iiwa_with_tool(folder: pathlib.Path, kuka: pathlib.Path, body: ToolBody) -> ET.Element:
-    """Return the URDF of arm and tool with absolute paths of meshes.
+def read_chain(path: pathlib.Path, flange_link: str) -> ET.Element:
+    """Read the links and joints from the base to ``flange_link``, with absolute paths of meshes.
+
+    Raises:
+        DataError: the file cannot be read, has no such link, or names meshes that do not exist; lists all of these.
+    """
+    try:
+        robot = ET.parse(path).getroot()
+    except (OSError, ET.ParseError) as error:
+        raise DataError(path, f"is not a readable URDF file: {error}") from error
+    links = [str(link.get("name")) for link in robot.findall("link")]
+    if flange_link not in links:
+        raise DataError(path, f"has no link {flange_link!r}; it has {', '.join(sorted(links)) or 'none'}")
+    above = {_end(joint, "child"): joint for joint in robot.findall("joint")}
+    kept, link = [flange_link], flange_link
+    while link in above and len(kept) <= len(links):
+        link = _end(above[link], "parent")
+        kept.append(link)
+    for part in [*robot.findall("link"), *robot.findall("joint")]:
+        if (part.get("name") if part.tag == "link" else _end(part, "child")) not in kept:
+            robot.remove(part)
+    missing = []
+    for mesh in robot.iter("mesh"):
+        name = str(mesh.get("filename"))
+        file = _mesh_file(path, name)
+        if file is None:
+            missing.append(name)
+        mesh.set("filename", str(file))
+    if missing:
+        raise DataError(path, f"names meshes that do not exist: {', '.join(sorted(set(missing)))}")
+    return robot
+
+
+def limits_of(path: pathlib.Path, robot: ET.Element) -> JointLimits:
+    """Read the limits of the revolute joints; where the file has soft limits of positions, the narrower ones.
+
+    Raises:
+        DataError: a joint has no limits; lists all of these.
+    """
+    rows, defects = [], []
+    for joint in robot.findall("joint[@type='revolute']"):
+        found = [joint.find(tag) for tag in ("limit", "safety_controller")]
+        hard, soft = ({} if element is None else element.attrib for element in found)
+        try:
+            low, high, speed, torque = (float(hard.get(name, "nan")) for name in LIMITS)
+            low = max(low, float(soft.get("soft_lower_limit", low)))
+            high = min(high, float(soft.get("soft_upper_limit", high)))
+        except ValueError:
+            low = high = speed = torque = math.nan
+        rows.append((low, high, speed, torque))
+        if not (low < high and speed > 0 and torque > 0):
+            defects.append(str(joint.get("name")))
+    if defects or not rows:
+        names = ", ".join(defects) or "any joint"
+        raise DataError(path, f"has no usable limits (lower < upper, velocity and effort above 0) for {names}")
+    return JointLimits(*(tuple(column) for column in zip(*rows, strict=True)))
+
+
+def add_tool(robot: ET.Element, folder: pathlib.Path, model: ArmModel, limits: JointLimits, body: ToolBody) -> None:
+    """Add the tool as the last link of a chain of ``read_chain``, and write the limits into its joints.
 
     Args:
-        folder: gets the mesh of the disc.
-        kuka: PyBullet's folder of the arm's model.
+        folder: gets the meshes of the tool.
     """
-    robot = ET.parse(kuka / "model.urdf").getroot()
-    for mesh in robot.iter("mesh"):
-        mesh.set("filename", str(kuka / str(mesh.get("filename"))))
-    for color in robot.findall("material[@name='Blue']/color"):
+    for color in robot.findall(f"material[@name='{model.recolored}']/color"):
         color.set("rgba", " ".join(map(str, LINK_RGBA)))
-    for index, joint in enumerate(robot.findall("joint")):
+    for index, joint in enumerate(robot.findall("joint[@type='revolute']")):
         limit = joint.find("limit")
-        assert limit is not None
-        reach = IIWA14_LIMITS.position_rad[index]
-        limit.set("lower", repr(-reach))
-        limit.set("upper", repr(reach))
-        limit.set("effort", repr(IIWA14_LIMITS.torque_nm[index]))
-        limit.set("velocity", repr(IIWA14_LIMITS.velocity_radps[index]))
+        if limit is None:
+            limit = ET.SubElement(joint, "limit")
+        limit.set("lower", repr(limits.lower_rad[index]))
+        limit.set("upper", repr(limits.upper_rad[index]))
+        limit.set("effort", repr(limits.torque_nm[index]))
+        limit.set("velocity", repr(limits.velocity_radps[index]))
     shapes = (
         _tool_shapes(body, folder)
         if not body.parts
         else "".join(_part_shapes(part, folder / f"part_{number}.obj") for number, part in enumerate(body.solids))
     )
-    robot.append(ET.fromstring(f'<link name="tool">{_tool_inertia(body)}{shapes}</link>'))
+    robot.append(ET.fromstring(f'<link name="{TOOL_LINK}">{_tool_inertia(body)}{shapes}</link>'))
+    roll, pitch, yaw = model.flange_rpy_rad
+    down = rotation_of(model.flange_rpy_rad) @ np.array([0.0, 0.0, body.shaft_length_m])
+    x, y, z = (np.array(model.flange_xyz_m) + down).tolist()
     robot.append(
         ET.fromstring(
-            '<joint name="tool_mount" type="fixed"><parent link="lbr_iiwa_link_7"/><child link="tool"/>'
-            f'<origin xyz="0 0 {FLANGE_IN_LINK_7_M + body.shaft_length_m!r}" rpy="{math.pi!r} 0 0"/></joint>'
+            f'<joint name="tool_mount" type="fixed"><parent link="{model.flange_link}"/><child link="{TOOL_LINK}"/>'
+            f'<origin xyz="{x!r} {y!r} {z!r}" rpy="{roll + math.pi!r} {pitch!r} {yaw!r}"/></joint>'
         )
     )
-    return robot
+
+
+def _end(joint: ET.Element, end: str) -> str:
+    link = joint.find(end)
+    return "" if link is None else str(link.get("link"))
+
+
+def _mesh_file(urdf: pathlib.Path, name: str) -> pathlib.Path | None:
+    """File of a mesh; ``package://`` is looked for in the folder of the URDF file and in those above it."""
+    rest = name.removeprefix("package://").removeprefix("file://")
+    folders = urdf.parents if name.startswith("package://") else urdf.parents[:1]
+    return next((folder / rest for folder in folders if (folder / rest).is_file()), None)
 
 
 def _tool_inertia(body: ToolBody) -> str:

@@ -1,76 +1,59 @@
-"""The simulated LBR iiwa 14 under torque control at 1 kHz.
+"""A simulated arm under torque control at 1 kHz.
 
-Joint ranges, speeds and torques are those of the data sheet (decision 26). The torque at a link differs from the
-commanded one as on an arm whose torque sensors compensate most of the friction, but not all: ``JointFriction``.
+Joint ranges, speeds and torques are those of the data sheet (decision 26) or of the arm's URDF file. The torque at a
+link differs from the commanded one as on an arm whose torque sensors compensate most of the friction, but not all:
+``JointFriction``.
 """
 
-import dataclasses
-import math
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
-from deltasafe.execution.arm import ArmState, Dynamics
+from deltasafe.execution.arm import ArmState, Dynamics, JointLimits
+from deltasafe.execution.arm_models import ArmModel, ArmSettings, InverseKinematics, JointFriction
+from deltasafe.execution.chain_kinematics import ChainKinematics
 from deltasafe.execution.dynamics import forward_kinematics, rigid_body_dynamics
-from deltasafe.execution.iiwa import JOINTS, World
-from deltasafe.execution.kinematics import IIWA14_LIMITS, ArmMount, IiwaKinematics, JointLimits
 from deltasafe.execution.workcell import Workcell
+from deltasafe.execution.world import World
 
 Array = NDArray[np.float64]
 
 
-@dataclasses.dataclass(frozen=True)
-class JointFriction:
-    """Friction that the drives do not compensate. Each seed draws its own values.
-
-    Attributes:
-        coulomb_nm: (7) residual dry friction of each joint, about 0.1 % of the rated torque: with it the arm tracks
-            within 0.5 mm at 0.01 m/s, as the paper reports for the real one.
-        viscous_nms: (7) damping of each joint in N m s/rad.
-        variation: relative variation (uniform, +-) of both between seeds.
-        torque_gain_sd: standard deviation of each torque sensor's gain about 1.
-    """
-
-    coulomb_nm: tuple[float, ...] = (0.2, 0.2, 0.12, 0.12, 0.08, 0.04, 0.04)
-    viscous_nms: tuple[float, ...] = (0.5, 0.5, 0.3, 0.3, 0.2, 0.1, 0.1)
-    variation: float = 0.3
-    torque_gain_sd: float = 0.003
-
-    def __post_init__(self) -> None:
-        for name in ("coulomb_nm", "viscous_nms"):
-            values = getattr(self, name)
-            if len(values) != len(JOINTS) or not all(f >= 0 and math.isfinite(f) for f in values):
-                raise SettingsError(f"{name} must hold seven finite values >= 0, got {values}")
-        if not 0 <= self.variation < 1:
-            raise SettingsError(f"variation must lie in [0, 1), got {self.variation}")
-        if not 0 <= self.torque_gain_sd <= 0.1:
-            raise SettingsError(f"torque_gain_sd must lie in [0, 0.1], got {self.torque_gain_sd}")
-
-
-class IiwaArm:
+class SimulatedArm:
     """An ``Arm`` in a new PyBullet world, so that a run is a function of its seed.
 
     Args:
         cell: tool, hand and table.
         seed: draws friction and torque sensor gains.
-        friction: distribution of the joint friction.
+        arm: which arm; None: the iiwa 14.
+        friction: distribution of the joint friction; None: that of the arm.
+
+    Raises:
+        DataError: the arm's URDF file is unusable.
+        SettingsError: the settings do not fit the number of its joints.
     """
 
     control_period_s = 1e-3
 
-    def __init__(self, cell: Workcell, seed: int = 0, friction: JointFriction | None = None) -> None:
-        mount, friction = ArmMount.beside(cell.table_z_m), friction or JointFriction()
-        self.kinematics = IiwaKinematics(mount, cell.body.shaft_length_m, cell.body.is_symmetric)
-        self._world = World(cell, mount)
+    def __init__(
+        self,
+        cell: Workcell,
+        seed: int = 0,
+        arm: ArmSettings | None = None,
+        friction: JointFriction | None = None,
+    ) -> None:
+        chosen = ArmModel.of(arm or ArmSettings())
+        self._world = World(cell, chosen)
+        try:
+            self.kinematics = _kinematics(cell, chosen, self._world)
+            self._draw_friction(friction or chosen.friction or JointFriction.of(self.limits), seed)
+        except BaseException:
+            self._world.close()
+            raise
         self._model = self._world.model
         self._bullet, self._client, self._arm = self._world.bullet, self._world.client, self._world.arm
-        rng = np.random.default_rng(seed)
-        factors = 1 + friction.variation * rng.uniform(-1, 1, size=(2, len(JOINTS)))
-        self._coulomb_nm = np.array(friction.coulomb_nm) * factors[0]
-        self._viscous_nms = np.array(friction.viscous_nms) * factors[1]
-        self._gain = 1 + friction.torque_gain_sd * rng.standard_normal(len(JOINTS))
         self._links = self._world.link_surfaces()
         self._torque_limit_nm = np.array(self.limits.torque_nm)
         self._braked = False
@@ -78,7 +61,7 @@ class IiwaArm:
 
     @property
     def limits(self) -> JointLimits:
-        return IIWA14_LIMITS
+        return self._world.limits
 
     def __enter__(self) -> Self:
         return self
@@ -96,7 +79,7 @@ class IiwaArm:
             self._braked = False
 
     def state(self) -> ArmState:
-        joints = self._bullet.getJointStates(self._arm, JOINTS, physicsClientId=self._client)
+        joints = self._bullet.getJointStates(self._arm, self._world.joints, physicsClientId=self._client)
         q = np.array([joint[0] for joint in joints])
         return ArmState(q, np.array([joint[1] for joint in joints]), *forward_kinematics(self._model, q))
 
@@ -111,7 +94,7 @@ class IiwaArm:
             torques = np.zeros_like(torques)
         p, client = self._bullet, self._client
         p.setJointMotorControlArray(
-            self._arm, JOINTS, p.TORQUE_CONTROL, forces=torques.tolist(), physicsClientId=client
+            self._arm, self._world.joints, p.TORQUE_CONTROL, forces=torques.tolist(), physicsClientId=client
         )
         p.stepSimulation(physicsClientId=client)
         contacts = 0
@@ -136,24 +119,40 @@ class IiwaArm:
             placed.append(points @ rotation.T + frame[4])
         return np.concatenate(placed)
 
+    def _draw_friction(self, friction: JointFriction, seed: int) -> None:
+        count = len(self._world.joints)
+        if len(friction.coulomb_nm) != count:
+            raise SettingsError(f"friction must have values for {count} joints, got {len(friction.coulomb_nm)}")
+        rng = np.random.default_rng(seed)
+        factors = 1 + friction.variation * rng.uniform(-1, 1, size=(2, count))
+        self._coulomb_nm = np.array(friction.coulomb_nm) * factors[0]
+        self._viscous_nms = np.array(friction.viscous_nms) * factors[1]
+        self._gain = 1 + friction.torque_gain_sd * rng.standard_normal(count)
+
     def _configure(self) -> None:
         p, client = self._bullet, self._client
         p.setTimeStep(self.control_period_s, physicsClientId=client)
         p.setPhysicsEngineParameter(deterministicOverlappingPairs=1, physicsClientId=client)
         p.changeDynamics(self._arm, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client)
-        for joint in JOINTS:
-            p.changeDynamics(self._arm, joint, jointDamping=float(self._viscous_nms[joint]), physicsClientId=client)
+        for joint, damping in zip(self._world.joints, self._viscous_nms, strict=True):
+            p.changeDynamics(self._arm, joint, jointDamping=float(damping), physicsClientId=client)
         self._hold_joints(self._coulomb_nm)
 
     def _hold_joints(self, torques_nm: Array) -> None:
         """Apply dry friction or brakes: PyBullet's velocity motor, target 0, with a torque limit; solved implicitly."""
         p = self._bullet
-        for joint in JOINTS:
+        for joint, torque_nm in zip(self._world.joints, torques_nm, strict=True):
             p.setJointMotorControl2(
                 self._arm,
                 joint,
                 p.VELOCITY_CONTROL,
                 targetVelocity=0.0,
-                force=float(torques_nm[joint]),
+                force=float(torque_nm),
                 physicsClientId=self._client,
             )
+
+
+def _kinematics(cell: Workcell, arm: ArmModel, world: World) -> InverseKinematics:
+    if arm.closed_form is not None:
+        return arm.closed_form(world.mount, cell.body.shaft_length_m, cell.body.is_symmetric)
+    return ChainKinematics(world.model, world.limits, arm.rest_rad, cell.body.is_symmetric)

@@ -5,10 +5,11 @@ import pytest
 
 from deltasafe.errors import PlanningError, SettingsError
 from deltasafe.execution import ExecutionSettings, Workcell, execute
+from deltasafe.execution.arm_models import JointFriction
+from deltasafe.execution.arm_view import ArmView, Viewpoint
 from deltasafe.execution.distance import MeshDistance
-from deltasafe.execution.iiwa_arm import IiwaArm, JointFriction
-from deltasafe.execution.iiwa_view import ArmView, Viewpoint
-from deltasafe.execution.kinematics import IIWA14_LIMITS
+from deltasafe.execution.iiwa_kinematics import IIWA14_LIMITS
+from deltasafe.execution.simulated_arm import SimulatedArm
 from deltasafe.geometry import yaw_of
 from deltasafe.planning.body import ToolBody
 from deltasafe.planning.parts import ToolPart
@@ -28,7 +29,7 @@ def execution(hand):
 
 
 def test_kinematics_agree_with_the_simulator():
-    with IiwaArm(Workcell(BODY)) as arm:
+    with SimulatedArm(Workcell(BODY)) as arm:
         for seed in range(5):
             q = np.random.default_rng(seed).uniform(-1, 1, 7)
             arm.reset(q)
@@ -41,7 +42,7 @@ def test_kinematics_agree_with_the_simulator():
 
 def test_the_model_predicts_the_simulator_without_friction():
     friction = JointFriction((0.0,) * 7, (0.0,) * 7, 0.0, 0.0)
-    with IiwaArm(Workcell(BODY), friction=friction) as arm:
+    with SimulatedArm(Workcell(BODY), friction=friction) as arm:
         arm.reset(np.array([0.1, 0.8, 0.2, -1.2, 0.3, 0.9, 0.0]))
         push = np.array([2.0, -3.0, 1.0, 2.0, 0.2, 0.1, 0.002])
         state = arm.state()
@@ -62,7 +63,7 @@ PARTS = ToolBody(
 
 def test_tool_of_parts_has_the_mass_of_its_model_and_touches_where_the_distance_is_zero(hand):
     friction = JointFriction((0.0,) * 7, (0.0,) * 7, 0.0, 0.0)
-    with IiwaArm(Workcell(PARTS, hand), friction=friction) as arm:
+    with SimulatedArm(Workcell(PARTS, hand), friction=friction) as arm:
         for height_m, touches in ((0.005, False), (-0.003, True)):  # of the sphere above the top of the ball
             pose = np.array([[0.0, -0.02, 0.07 + 0.01 + height_m, 0.4]])
             arm.reset(arm.inverse(pose)[0])
@@ -89,7 +90,7 @@ def test_limits_hold_without_contact(execution):
     assert execution.tool_to_hand_m.min() > 0.02
     assert execution.arm_to_hand_m.min() > 0.1
     assert (np.abs(execution.torques_nm) <= IIWA14_LIMITS.torque_nm).all()
-    assert (np.abs(execution.joint_positions_rad) <= IIWA14_LIMITS.position_rad).all()
+    assert (np.abs(execution.joint_positions_rad) <= IIWA14_LIMITS.upper_rad).all()
     speeds = np.gradient(execution.joint_positions_rad, execution.time_s, axis=0)
     assert (np.abs(speeds) <= IIWA14_LIMITS.velocity_radps).all()
 
@@ -126,7 +127,7 @@ def test_links_must_stay_above_the_field(hand):
 
 def test_links_are_in_view_only_between_start_and_goal():
     view = Viewpoint.of_camera(CAMERA, 320)
-    with ArmView(Workcell(BODY)) as arm, IiwaArm(Workcell(BODY)) as solver:
+    with ArmView(Workcell(BODY)) as arm, SimulatedArm(Workcell(BODY)) as solver:
         for x in (-0.15, 0.15):
             for y in (-0.085, 0.0, 0.09):
                 assert arm.links_in_view(solver.inverse(np.array([[x, y, 0.03, 0.0]]))[0], view) == {}
@@ -145,18 +146,22 @@ def test_a_mesh_that_is_larger_than_pybullet_takes_is_refused():
     """B12: it raised SystemError."""
     mesh = np.eye(3) / 10, np.tile([[0, 1, 2]], (174_763, 1))
     with pytest.raises(SettingsError, match="174763 triangles; simplify it"):
-        IiwaArm(Workcell(BODY, mesh))
+        SimulatedArm(Workcell(BODY, mesh))
 
 
 def test_friction_is_validated():
     with pytest.raises(SettingsError, match="coulomb_nm"):
-        JointFriction(coulomb_nm=(1.0,))
+        JointFriction((-1.0,), (1.0,))
+    with pytest.raises(SettingsError, match="viscous_nms"):
+        JointFriction((1.0, 1.0), (1.0,))
     with pytest.raises(SettingsError, match="variation"):
-        JointFriction(variation=1.0)
+        JointFriction((1.0,), (1.0,), variation=1.0)
+    with pytest.raises(SettingsError, match="7 joints, got 1"):
+        SimulatedArm(Workcell(BODY), friction=JointFriction((1.0,), (1.0,)))
 
 
 def test_loading_the_world_prints_nothing(capfd):
-    with IiwaArm(Workcell(BODY)):
+    with SimulatedArm(Workcell(BODY)):
         pass
     captured = capfd.readouterr()
     assert (captured.out, captured.err) == ("", "")

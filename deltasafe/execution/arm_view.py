@@ -6,9 +6,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deltasafe.execution.iiwa import TOOL_LINK, World
-from deltasafe.execution.kinematics import ArmMount
+from deltasafe.execution.arm_models import ArmModel, ArmSettings
 from deltasafe.execution.workcell import Workcell
+from deltasafe.execution.world import World
 from deltasafe.scene.camera import Camera
 
 Array = NDArray[np.float64]
@@ -69,10 +69,10 @@ class Viewpoint:
 
 
 class ArmView:
-    """Renders the arm in any posture. Use it as a context manager."""
+    """Renders an arm (by default the iiwa 14) in any posture. Use it as a context manager."""
 
-    def __init__(self, cell: Workcell) -> None:
-        self._world = World(cell, ArmMount.beside(cell.table_z_m))
+    def __init__(self, cell: Workcell, arm: ArmSettings | None = None) -> None:
+        self._world = World(cell, ArmModel.of(arm or ArmSettings()))
 
     def __enter__(self) -> Self:
         return self
@@ -85,11 +85,11 @@ class ArmView:
         return self._image(joint_positions_rad, viewpoint)[0]
 
     def links_in_view(self, joint_positions_rad: Array, viewpoint: Viewpoint) -> dict[int, int]:
-        """Return the number of pixels of each visible link: 0 the base, 1 to 7 the links, without the tool."""
+        """Return the number of pixels of each visible link: 0 the base, without the tool."""
         labels = self._image(joint_positions_rad, viewpoint)[1]
         labels = labels[labels >= 0]
         links = labels[(labels & 0xFFFFFF) == self._world.arm] >> 24
-        numbers, counts = np.unique(links[links <= TOOL_LINK], return_counts=True)
+        numbers, counts = np.unique(links[links <= self._world.tool_link], return_counts=True)
         return dict(zip(numbers.tolist(), counts.tolist(), strict=True))
 
     def _image(self, joints: Array, viewpoint: Viewpoint) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:

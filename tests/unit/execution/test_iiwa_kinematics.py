@@ -6,11 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deltasafe.errors import PlanningError, SettingsError
-from deltasafe.execution.kinematics import IIWA14_LIMITS, ArmMount, IiwaKinematics
+from deltasafe.execution.arm import ArmMount
+from deltasafe.execution.iiwa_kinematics import IIWA14_LIMITS, IiwaKinematics
 from tests.unit.execution.closed_form import tool_pose
 
 KINEMATICS = IiwaKinematics(ArmMount(), 0.25)
-LIMITS = np.array(IIWA14_LIMITS.position_rad)
+LIMITS = np.array(IIWA14_LIMITS.upper_rad)
 poses = st.tuples(st.floats(-0.17, 0.17), st.floats(-0.12, 0.12), st.floats(0.02, 0.2), st.floats(-math.pi, math.pi))
 
 

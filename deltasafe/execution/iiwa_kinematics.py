@@ -6,7 +6,6 @@ line from shoulder to wrist resolves the redundancy. For a fixed branch and arm 
 function of the tool pose, so a continuous tool path gives a continuous joint path.
 """
 
-import dataclasses
 import itertools
 import math
 
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import PlanningError, SettingsError
+from deltasafe.execution.arm import ArmMount, JointLimits
 from deltasafe.geometry import as_rows
 
 Array = NDArray[np.float64]
@@ -28,52 +28,14 @@ SINGULAR = 1e-6
 _BRANCHES = tuple(itertools.product((1.0, -1.0), repeat=3))  # signs of q2, q4 and q6
 
 
-@dataclasses.dataclass(frozen=True)
-class JointLimits:
-    """Symmetric limits of each joint: position in rad, velocity in rad/s, torque in N m."""
-
-    position_rad: tuple[float, ...]
-    velocity_radps: tuple[float, ...]
-    torque_nm: tuple[float, ...]
-
-
+_REACH_RAD = tuple(math.radians(a) for a in (170, 120, 170, 120, 170, 120, 175))
 IIWA14_LIMITS = JointLimits(
-    position_rad=tuple(math.radians(a) for a in (170, 120, 170, 120, 170, 120, 175)),
+    lower_rad=tuple(-reach for reach in _REACH_RAD),
+    upper_rad=_REACH_RAD,
     velocity_radps=tuple(math.radians(a) for a in (85, 85, 100, 75, 130, 135, 135)),
     torque_nm=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
 )
 """Data sheet of the LBR iiwa 14 R820 (decision 26)."""
-
-
-@dataclasses.dataclass(frozen=True)
-class ArmMount:
-    """Pose of the arm's base in the world, and the arm angle of its elbow."""
-
-    base_x_m: float = 0.0
-    base_y_m: float = 0.65
-    base_z_m: float = 0.1
-    base_yaw_rad: float = -math.pi / 2
-    arm_angle_rad: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value in dataclasses.asdict(self).items():
-            if not math.isfinite(value):
-                raise SettingsError(f"{name} must be finite, got {value}")
-
-    @classmethod
-    def beside(cls, table_z_m: float) -> "ArmMount":
-        """Return the default mount beside a table of that height."""
-        return cls(base_z_m=cls.base_z_m + table_z_m)
-
-    @property
-    def base_m(self) -> Array:
-        """(3,) position of the base in the world."""
-        return np.array([self.base_x_m, self.base_y_m, self.base_z_m])
-
-    @property
-    def base_rotation(self) -> Array:
-        """(3, 3) world from base."""
-        return _rotation_z(np.array(self.base_yaw_rad))
 
 
 class IiwaKinematics:
@@ -84,12 +46,14 @@ class IiwaKinematics:
     to itself may also be held turned by half a turn.
     """
 
-    def __init__(self, mount: ArmMount, tool_length_m: float, is_symmetric: bool = True) -> None:
+    def __init__(
+        self, mount: ArmMount, tool_length_m: float, is_symmetric: bool = True, arm_angle_rad: float = 0.0
+    ) -> None:
         if not (math.isfinite(tool_length_m) and tool_length_m > 0):
             raise SettingsError(f"tool_length_m must be a positive length in meters, got {tool_length_m}")
         self.mount = mount
         self.tool_length_m = tool_length_m
-        self.limits = IIWA14_LIMITS
+        self.limits, self._arm_angle_rad = IIWA14_LIMITS, arm_angle_rad
         self._period_rad = math.pi if is_symmetric else 2 * math.pi
         self._base_rotation = mount.base_rotation
         self._shoulder_m = mount.base_m + np.array([0.0, 0.0, BASE_TO_SHOULDER_M])
@@ -106,7 +70,7 @@ class IiwaKinematics:
         """
         poses = as_rows(poses, 4, "poses")
         candidates = [self._branch(poses, signs) for signs in _BRANCHES]
-        limits = np.array(self.limits.position_rad)
+        limits = np.array(self.limits.upper_rad)
         margins = [float((1 - np.abs(q) / limits).min()) for q in candidates]
         best = candidates[int(np.argmax(margins))]
         if max(margins) < 0:
@@ -144,7 +108,7 @@ class IiwaKinematics:
             )
         side /= beside
         above = np.cross(direction, side)
-        angle = self.mount.arm_angle_rad
+        angle = self._arm_angle_rad
         outward = math.cos(angle) * above + math.sin(angle) * side
         cosine = (a + b * cos_q4) / distance
         upper = cosine[:, None] * direction + np.sqrt(np.clip(1 - cosine**2, 0, 1))[:, None] * outward

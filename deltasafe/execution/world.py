@@ -1,6 +1,6 @@
-"""PyBullet world with the KUKA LBR iiwa 14, the planner's tool, a table and a hand. The only importer of pybullet.
+"""PyBullet world with an arm, the planner's tool, a table and a hand. The only importer of pybullet.
 
-The default ``ArmMount`` was chosen among base heights of 0 to 0.3 m, distances of 0.45 to 0.75 m behind the working
+The mount of the iiwa was chosen among base heights of 0 to 0.3 m, distances of 0.45 to 0.75 m behind the working
 area (hands come from the other side) and arm angles of -90 to 90 degrees. It has the largest product of smallest
 manipulability (0.085) and smallest relative margin to a joint limit (17 %, joint 4) over all tool poses with
 |x| <= 0.17 m, |y| <= 0.12 m, z from 0.02 to 0.2 m and any yaw. The elbow points up. With the tool at start or goal, no
@@ -22,15 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltasafe.errors import SettingsError
+from deltasafe.execution.arm import ArmMount, JointLimits
+from deltasafe.execution.arm_models import ArmModel
+from deltasafe.execution.arm_urdf import TOOL_LINK, add_tool, limits_of, read_chain
 from deltasafe.execution.chain_model import ChainModel
-from deltasafe.execution.iiwa_urdf import iiwa_with_tool
-from deltasafe.execution.kinematics import ArmMount
 from deltasafe.execution.workcell import Mesh, Workcell
 
 Array = NDArray[np.float64]
 
-JOINTS = tuple(range(7))
-TOOL_LINK = 7
 MARGIN_M = 1e-4
 GRAVITY_MPS2 = (0.0, 0.0, -9.81)
 SKIN_RGBA = (0.85, 0.62, 0.50, 1.0)
@@ -44,18 +43,22 @@ class World:
 
     Args:
         cell: tool, hand and table.
-        mount: of the arm.
+        arm: what the arm is.
 
     Raises:
         SettingsError: the hand's mesh is larger than PyBullet takes.
+        DataError: the arm's URDF file is unusable.
 
     Attributes:
         bullet, client: the module pybullet and the number of its client.
         arm, table, hand: numbers of the bodies; ``hand`` is None without a hand.
+        joints: numbers of the arm's joints; ``tool_link``: number of the tool's link.
+        mount, limits: of the arm.
         model: arm and tool, as the controller models them.
     """
 
-    def __init__(self, cell: Workcell, mount: ArmMount) -> None:
+    def __init__(self, cell: Workcell, arm: ArmModel) -> None:
+        self.mount = arm.mount.on_table(cell.table_z_m)
         with _without_output():
             import pybullet
             import pybullet_data
@@ -66,9 +69,11 @@ class World:
                 raise RuntimeError("PyBullet offers no further physics client: close arms that are not in use")
             try:
                 pybullet.setGravity(*GRAVITY_MPS2, physicsClientId=self.client)
-                meshes = pathlib.Path(pybullet_data.getDataPath()) / "kuka_iiwa"
-                self.model, self.arm = self._load_arm(meshes, cell, mount)
-                self.table = self._add_table(cell, mount)
+                self.model, self.limits, self.arm = self._load_arm(
+                    pathlib.Path(pybullet_data.getDataPath()) / arm.urdf, cell, arm
+                )
+                self.joints, self.tool_link = self._find_links()
+                self.table = self._add_table(cell, self.mount)
                 self.hand = None if cell.mesh is None else self._add_hand(cell.mesh)
             except BaseException:
                 pybullet.disconnect(self.client)
@@ -82,29 +87,29 @@ class World:
 
     def place(self, joint_positions_rad: Array) -> None:
         """Move the arm to a posture, at rest."""
-        for joint in JOINTS:
-            self.bullet.resetJointState(
-                self.arm, joint, float(joint_positions_rad[joint]), 0.0, physicsClientId=self.client
-            )
+        for joint, position_rad in zip(self.joints, joint_positions_rad, strict=True):
+            self.bullet.resetJointState(self.arm, joint, float(position_rad), 0.0, physicsClientId=self.client)
 
     def link_surfaces(self) -> dict[int, Array]:
         """Vertices of the links' meshes, one per cell of 8 mm: link number -> (P, 3) in the frame of the link."""
         surfaces = {}
-        for link in range(1, TOOL_LINK):
+        for link in range(1, self.tool_link):
             _, vertices = self.bullet.getMeshData(self.arm, link, physicsClientId=self.client)
-            points = np.array(vertices)
+            points = np.array(vertices).reshape(-1, 3)
             _, first = np.unique(np.floor(points / LINK_SPACING_M), axis=0, return_index=True)
             surfaces[link] = points[np.sort(first)]
         return surfaces
 
-    def _load_arm(self, kuka: pathlib.Path, cell: Workcell, mount: ArmMount) -> tuple[ChainModel, int]:
-        p = self.bullet
-        with tempfile.TemporaryDirectory(prefix="deltasafe-iiwa-") as folder:
-            robot = iiwa_with_tool(pathlib.Path(folder), kuka, cell.body)
+    def _load_arm(self, path: pathlib.Path, cell: Workcell, arm: ArmModel) -> tuple[ChainModel, JointLimits, int]:
+        p, mount = self.bullet, self.mount
+        robot = read_chain(path, arm.flange_link)
+        limits = arm.limits or limits_of(path, robot)
+        with tempfile.TemporaryDirectory(prefix="deltasafe-arm-") as folder:
+            add_tool(robot, pathlib.Path(folder), arm, limits, cell.body)
             model = ChainModel.from_urdf(robot, mount.base_rotation, mount.base_m, GRAVITY_MPS2)
-            urdf = pathlib.Path(folder) / "iiwa14.urdf"
+            urdf = pathlib.Path(folder) / "arm.urdf"
             ET.ElementTree(robot).write(urdf)
-            arm = p.loadURDF(
+            number = p.loadURDF(
                 str(urdf),
                 mount.base_m.tolist(),
                 p.getQuaternionFromEuler((0, 0, mount.base_yaw_rad)),
@@ -112,7 +117,14 @@ class World:
                 flags=p.URDF_USE_INERTIA_FROM_FILE,
                 physicsClientId=self.client,
             )
-        return model, int(arm)
+        return model, limits, int(number)
+
+    def _find_links(self) -> tuple[list[int], int]:
+        p = self.bullet
+        count = p.getNumJoints(self.arm, physicsClientId=self.client)
+        found = [p.getJointInfo(self.arm, number, physicsClientId=self.client) for number in range(count)]
+        tool = next(number for number, info in enumerate(found) if info[12].decode() == TOOL_LINK)
+        return [number for number, info in enumerate(found) if info[2] == p.JOINT_REVOLUTE], tool
 
     def _add_table(self, cell: Workcell, mount: ArmMount) -> int:
         table = self._box((0.0, -0.15, cell.table_z_m - 0.02), (0.6, 0.55, 0.02), TABLE_RGBA)
