@@ -151,7 +151,7 @@ def executed_motions(
     store: dg.ResourceParam[Store],
     executor: dg.ResourceParam[Executor],
 ) -> dg.Output[pathlib.Path]:
-    """Recordings of all planned motions on the simulated iiwa with impedance control, next to the true obstacle.
+    """Recordings of all planned motions on the simulated arm with impedance control, next to the true obstacle.
 
     Made from planned_motions. A scene without a true one is executed in an empty world. Motions that were not
     executed are listed with the reason.

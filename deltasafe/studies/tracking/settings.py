@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 from deltasafe.errors import SettingsError
+from deltasafe.execution.arm_models import ArmSettings
 from deltasafe.planning.body import ToolBody
 from deltasafe.setting_ranges import check_range
 
@@ -27,6 +28,7 @@ class TrackingStudySettings:
         lower_m, upper_m: corners of the box of the tool's positions.
         record_rate_hz: rate at which errors are recorded.
         body: the space that the tool occupies.
+        arm: which arm executes.
     """
 
     n_slope_runs: int = 200
@@ -44,6 +46,7 @@ class TrackingStudySettings:
     upper_m: tuple[float, float, float] = (0.17, 0.12, 0.2)
     record_rate_hz: float = 200.0
     body: ToolBody = dataclasses.field(default_factory=ToolBody)
+    arm: ArmSettings = dataclasses.field(default_factory=ArmSettings)
 
     def __post_init__(self) -> None:
         check_range(self, "[1, inf)", "n_slope_runs", "n_bound_runs", "n_held_out_runs", "runs_per_batch")

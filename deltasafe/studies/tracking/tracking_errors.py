@@ -90,7 +90,8 @@ def record_runs(settings: TrackingStudySettings, first: int, last: int) -> dict[
 def _record(settings: TrackingStudySettings, seed: int) -> Tracks:
     """Record one motion on one arm, both drawn with the seed, without a hand and without stops of the monitor."""
     rng = np.random.default_rng([seed, 0])
-    options = ExecutionSettings(approach_m=0.0, record_rate_hz=settings.record_rate_hz, monitor_margin_m=NO_MONITOR_M)
+    rate_hz = settings.record_rate_hz
+    options = ExecutionSettings(approach_m=0.0, record_rate_hz=rate_hz, monitor_margin_m=NO_MONITOR_M, arm=settings.arm)
     for _ in range(REDRAWS):
         motion = draw_motion(settings, rng)
         try:
