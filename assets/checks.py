@@ -25,11 +25,12 @@ GateConfig = configurable(PRESET.gate)
     additional_ins={"raw_hands": dg.AssetIn("raw_hands")},
     blocking=True,
     description="No test image is also a training image, compared by decoded pixels. A failure stops the run: the "
-    "evaluation would be too good.",
+    "evaluation would be too good. Near copies (re-encoded, scaled, mirrored) are a warning.",
 )
 def no_image_in_both_sets(test_hands: pathlib.Path, raw_hands: pathlib.Path) -> dg.AssetCheckResult:
     from deltasafe.errors import DataError
     from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
+    from deltasafe.perception.data.near_copies import listed, near_copies
 
     train, test = LabeledImageSet.load(raw_hands), LabeledImageSet.load(test_hands)
     try:
@@ -37,6 +38,15 @@ def no_image_in_both_sets(test_hands: pathlib.Path, raw_hands: pathlib.Path) -> 
     except DataError as error:
         return dg.AssetCheckResult(passed=False, description=str(error))
     counts = {"training images": len(train), "test images": len(test)}
+    if pairs := near_copies(test, train):
+        found = (
+            f"{len(pairs)} of the {len(test)} test images are near copies of training images, which makes the "
+            f"evaluation too good; remove them from one of the sets: {listed(pairs)}"
+        )
+        counts["near copies"] = len(pairs)
+        return dg.AssetCheckResult(
+            passed=False, severity=dg.AssetCheckSeverity.WARN, description=found, metadata=counts
+        )
     found = f"none of the {len(test)} test images is among the {len(train)} training images"
     return dg.AssetCheckResult(passed=True, description=found, metadata=counts)
 

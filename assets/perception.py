@@ -106,6 +106,7 @@ class ReportConfig(dg.Config):
 def _checked_hands(config: HandsConfig, store: Store, asset: str, packaged: str) -> dg.Output[pathlib.Path]:
     from deltasafe.perception.data.labeled_images import LabeledImageSet, check_distinct
     from deltasafe.perception.data.labeled_images_figure import labeled_images_figure
+    from deltasafe.perception.data.near_copies import listed, near_copies
 
     folder, registry = config.input(store, asset, packaged)
     hands = LabeledImageSet.load(folder, registry)
@@ -119,6 +120,9 @@ def _checked_hands(config: HandsConfig, store: Store, asset: str, packaged: str)
         copies = "; ".join(f"{item.image.name} of {first.image.name}" for item, first in hands.copies)
         dg.get_dagster_logger().warning(f"copies count twice in training, remove them if that is not meant: {copies}")
         metadata["copies"] = copies
+    if asset == "test_hands" and (pairs := near_copies(hands)):
+        metadata["near copies"] = listed(pairs)
+        dg.get_dagster_logger().warning(f"near copies count twice as evidence, keep one of each: {listed(pairs)}")
     if config.source:
         metadata["conversion"] = dg.MetadataValue.md((folder / "import.md").read_text(encoding="utf-8"))
     return dg.Output(folder, metadata=metadata, data_version=dg.DataVersion(hands.digest[:16]))

@@ -171,13 +171,15 @@ def _predict(options: argparse.Namespace) -> None:
     import cv2
     import numpy as np
 
-    from deltasafe.io.images import read_rgb
+    from deltasafe.io.images import read_image
     from deltasafe.io.storage import atomic_file
     from deltasafe.perception.artifact.frozen_ensemble import load_ensemble
     from deltasafe.perception.inference.occupancy_overlay import occupancy_overlay
+    from deltasafe.perception.settings import PREDICTION_PIXELS
 
     delta = options.delta
-    rgb = read_rgb(options.image)
+    photo = read_image(options.image, PREDICTION_PIXELS)
+    rgb, size = photo.rgb, (photo.rgb.shape[1], photo.rgb.shape[0])
     output = options.output or pathlib.Path(f"{options.image.stem}.p_occupied.png")
     if output.suffix.lower() != ".png":
         raise DataError(output, "must end in .png")
@@ -191,6 +193,8 @@ def _predict(options: argparse.Namespace) -> None:
     ):
         with atomic_file(destination) as temporary:
             temporary.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    if size != photo.size:
+        print(f"{options.image}: scaled down from {photo.size[0]} x {photo.size[1]} to {size[0]} x {size[1]} pixels")
     print(f"{output}: p_occupied > {delta:g} on {float((p_occupied > delta).mean()):.1%} of the image")
     print(f"{values}: the probability, 0..65535 for 0..1")
 

@@ -12,7 +12,7 @@ import pathlib
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
 from deltasafe.errors import DataError, DeltasafeError
@@ -126,15 +126,23 @@ def _browser(options: argparse.Namespace) -> int:
 
 
 def _faults(options: argparse.Namespace) -> int:
-    outcomes: dict[str, bool] = {}
-    for name, passed in outcomes_of(sorted(set(FAULTS.values()))).items():
-        function = name.partition("[")[0]
-        outcomes[function] = passed and outcomes.get(function, True)
-    fixed = {fault: outcomes.get(test.rpartition("::")[2], False) for fault, test in FAULTS.items()}
-    failures = [f"{fault}: {FAULTS[fault]} did not pass" for fault, passed in fixed.items() if not passed]
-    figures = {"faults_fixed": sum(fixed.values())}
+    figures, failures = fixed_faults({fault: (test,) for fault, test in FAULTS.items()})
     command = "python -m evidence.operation faults"
     return finish(options, figures, failures, part="faults", command=command, tests=FAULTS)
+
+
+def fixed_faults(faults: Mapping[str, Sequence[str]]) -> tuple[dict[str, int], list[str]]:
+    """Run the tests of each fault; return the figure ``faults_fixed``, and the tests that did not pass."""
+    outcomes: dict[str, bool] = {}
+    for name, passed in outcomes_of(sorted({test for tests in faults.values() for test in tests})).items():
+        function = name.partition("[")[0]
+        outcomes[function] = passed and outcomes.get(function, True)
+    failed = {
+        fault: [test for test in tests if not outcomes.get(test.rpartition("::")[2], False)]
+        for fault, tests in faults.items()
+    }
+    failures = [f"{fault}: {test} did not pass" for fault, tests in failed.items() for test in tests]
+    return {"faults_fixed": sum(not tests for tests in failed.values())}, failures
 
 
 def outcomes_of(tests: Sequence[str], *options: str) -> dict[str, bool]:

@@ -11,7 +11,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
@@ -34,8 +34,14 @@ _MAX_ERROR_M = 0.005
 _HAND = re.compile(r"\bhands?\b(?!-)", re.IGNORECASE)
 
 
-def walk(folder: pathlib.Path, preset: str, n_train: int = 30, n_test: int = 12) -> list[str]:
-    """Run all steps in ``folder``; return what went wrong, empty if the walk passed."""
+def walk(folder: pathlib.Path, run: Callable[[str, str], None], n_train: int = 50, n_test: int = 12) -> list[str]:
+    """Do all steps in ``folder``; return what went wrong, empty if the walk passed.
+
+    Args:
+        folder: for all files; the results are below ``home``.
+        run: runs a command, given its module and its words.
+        n_train, n_test: number of photographs to draw.
+    """
     rng, view = np.random.default_rng(0), look_at(np.zeros(3), 0.55, 0.12, 0.4, 0.1)
     train, test = (write_coco(folder / name, n, seed) for name, n, seed in (("train", n_train, 1), ("test", n_test, 2)))
     backgrounds = write_backgrounds(folder / "tables", 6, 3)
@@ -43,7 +49,6 @@ def walk(folder: pathlib.Path, preset: str, n_train: int = 30, n_test: int = 12)
     _write_png(folder / "photo.png", draw_cup(Cup(0.0, 0.0), _LENS, view, rng)[0])
     _write_calibration(folder / "calibration.yaml")
     origin, scene = " ".join(map(str, BOARD_ORIGIN)), folder / "scenes" / "cup"
-    run = _Runner(folder, preset)
     run("deltasafe.cli", f"camera board --board {BOARD} -o {folder}/board.pdf")
     run(
         "deltasafe.cli",
@@ -164,7 +169,7 @@ def main(arguments: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder = (options.out or pathlib.Path(temporary) / "walk").absolute()
         folder.mkdir(parents=True)
-        failures = walk(folder, options.preset)
+        failures = walk(folder, _Runner(folder, options.preset))
     return finish(options, {"walk_passed": float(not failures)}, failures)
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from deltasafe.perception.data.importing.import_hands import import_hands
     from deltasafe.perception.data.importing.settings import ImportSettings
     from deltasafe.perception.data.labeled_images import LabeledImageSet, check_disjoint
+    from deltasafe.perception.data.near_copies import near_copies
     from deltasafe.perception.evaluate_and_freeze import EvaluationSettings, evaluate_ensemble, freeze_ensemble
     from deltasafe.perception.folder_evaluation import evaluate_folder
     from deltasafe.perception.settings import GateThresholds, InferenceSettings, NetworkSettings, TrainingSettings
@@ -49,6 +50,7 @@ __all__ = [
     "golden_difference",
     "import_hands",
     "load_ensemble",
+    "near_copies",
     "read_rgb",
     "require_supported_delta",
     "train_ensemble",
@@ -65,6 +67,7 @@ _HOMES = {
     "data.importing.import_hands": ["import_hands"],
     "data.importing.settings": ["ImportSettings"],
     "data.labeled_images": ["LabeledImageSet", "check_disjoint"],
+    "data.near_copies": ["near_copies"],
     "evaluate_and_freeze": ["EvaluationSettings", "evaluate_ensemble", "freeze_ensemble"],
     "folder_evaluation": ["evaluate_folder"],
     "settings": ["GateThresholds", "InferenceSettings", "NetworkSettings", "TrainingSettings"],

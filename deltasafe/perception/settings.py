@@ -16,6 +16,8 @@ SCHEDULES = ("one_cycle", "exponential")
 
 EVALUATION_PIXELS = 2**19
 """Larger images are scaled down to this number for evaluation: ten times the networks' input, and bounded memory."""
+PREDICTION_PIXELS = 2**22
+"""Larger images are scaled down to this number by `deltasafe predict`: 80 megapixels would take gigabytes."""
 
 _STRIDE = 16
 _MAX_SIZE = 8192

@@ -90,7 +90,7 @@ def _draw_image(ax: Axes, rgb: NDArray[np.uint8], scene: LoggedScene, grid: Grid
     ax.set_facecolor("#dfe3e8")
     _draw_lines(ax, camera, grid)
     border = Rectangle((0, 0), camera.width, camera.height, fill=False, ec=BORDER, lw=3)
-    border.set_label("border of the view; beyond it, space below the hand's height counts as occupied")
+    border.set_label("border of the view; beyond it, space below the obstacle's height counts as occupied")
     ax.add_patch(border)
     origin_m = _axes_origin(camera, grid)
     for axis in (2, 0, 1):  # z may hide y where the camera looks along y
@@ -103,7 +103,8 @@ def _draw_image(ax: Axes, rgb: NDArray[np.uint8], scene: LoggedScene, grid: Grid
 
 
 def _draw_lines(ax: Axes, camera: Camera, grid: Grid) -> None:
-    """Draw the lines of constant x and y; label each in its axis' color where it leaves the image."""
+    """Draw the lines of constant x and y; label each where it leaves the image, or where there is room."""
+    labeled: list[Array] = []
     for axis in (0, 1):
         along = np.linspace(grid.low[1 - axis], grid.high[1 - axis], 400)
         for value in grid.values(axis):
@@ -115,7 +116,11 @@ def _draw_lines(ax: Axes, camera: Camera, grid: Grid) -> None:
             inside = uv[((uv > 0) & (uv < (camera.width, camera.height))).all(axis=1)]
             if len(inside):
                 name, color = AXES[axis]
-                _label(ax, inside[-1] if axis else inside[0], f"{name} = {value:.3g}", color, 8)
+                places = inside[::-1] if axis else inside
+                spacing = np.array([0.1 * camera.width, 0.04 * camera.height])
+                free = (at for at in places if all((np.abs(at - other) > spacing).any() for other in labeled))
+                labeled.append(next(free, places[0]))
+                _label(ax, labeled[-1], f"{name} = {value:.3g}", color, 8)
 
 
 def _axes_origin(camera: Camera, grid: Grid) -> Array:
@@ -195,7 +200,7 @@ def _write_facts(ax: Axes, scene: LoggedScene, notes: Sequence[str]) -> None:
     x_m, y_m, z_m = camera.position_m
     facts = [
         f"camera at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m, tilted by {tilt:.0f} degrees from straight down",
-        f"table at z = {table_z_m:g} m, hand up to {1000 * scene.hand_height_m:.0f} mm above it",
+        f"table at z = {table_z_m:g} m, obstacle up to {1000 * scene.hand_height_m:.0f} mm above it",
     ]
     for (name, _), pose in zip(ENDS, (scene.start, scene.goal), strict=True):
         height_mm, yaw = 1000 * (pose.z_m - table_z_m), math.degrees(pose.yaw_rad)

@@ -119,7 +119,10 @@ def _folder(root: pathlib.Path, asset: str) -> pathlib.Path:
 
 
 def _print_summary(root: pathlib.Path, figures: dict[str, Any], is_own_data: bool) -> None:
+    from deltasafe.perception.data.dataset_info import DatasetInfo
+
     calibration, safety = _reports(root)
+    obstacle = DatasetInfo.load(_folder(root, "raw_hands")).singular
     films = sorted(safety.glob("*.gif"))
     unjudged = figures["scenes_executed"] - figures["scenes_judged"]
     print(f"\nDone in {figures['minutes_total']:.1f} minutes.\n")
@@ -130,10 +133,10 @@ def _print_summary(root: pathlib.Path, figures: dict[str, Any], is_own_data: boo
     print(
         f"  {figures['scenes_executed']} of {figures['scenes']} scenes executed, "
         f"{figures['scenes_safe']} safe throughout, "
-        f"contacts with hand or table: {'not judged' if figures['contacts'] is None else figures['contacts']}"
+        f"contacts with {obstacle} or table: {'not judged' if figures['contacts'] is None else figures['contacts']}"
     )
     if unjudged:
-        print(f"  contacts not judged in {unjudged} executed scenes, which have no true hand")
+        print(f"  contacts not judged in {unjudged} executed scenes, which have no true {obstacle}")
     print()
     print(f"  calibration report  {calibration / 'report.md'}")
     print(f"  safety report       {safety / 'report.md'}")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from deltasafe.errors import DataError
 from deltasafe.io.storage import read_json
-from evidence import operation
+from evidence import input_faults, operation
 from evidence.orchestration import time_outside, times_of_run
 from pipelines.tracking.tracker import MlflowTracker
 
@@ -86,7 +86,17 @@ def test_skipped_and_failed_tests_did_not_pass(tmp_path, monkeypatch):
     assert read_json(record)["figures"] == {"browser_test_passed": False}
 
 
+def test_a_fault_is_fixed_if_all_its_tests_pass(monkeypatch):
+    outcomes = {"test_one[a]": True, "test_one[b]": False, "test_two": True}
+    monkeypatch.setattr(operation, "outcomes_of", lambda tests: outcomes)
+    faults = {"A1": ("f.py::test_one", "f.py::test_two"), "A2": ("f.py::test_two",), "A3": ("f.py::test_none",)}
+    figures, failures = operation.fixed_faults(faults)
+    assert figures == {"faults_fixed": 1}
+    assert failures == ["A1: f.py::test_one did not pass", "A3: f.py::test_none did not pass"]
+
+
 def test_tests_of_figures_exist():
-    for name in {*operation.TESTS.values(), *operation.FAULTS.values()}:
+    of_inputs = {test for tests in input_faults.FAULTS.values() for test in tests}
+    for name in {*operation.TESTS.values(), *operation.FAULTS.values(), *of_inputs}:
         path, test = name.split("::")
         assert f"def {test}(" in (operation.PROJECT / path).read_text(encoding="utf-8")

@@ -53,6 +53,7 @@ PUBLIC = {
         "golden_difference",
         "import_hands",
         "load_ensemble",
+        "near_copies",
         "read_rgb",
         "require_supported_delta",
         "train_ensemble",

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deltasafe.errors import DataError
 from deltasafe.io.checksum_list import listed_name, read_registry
@@ -17,6 +18,7 @@ from deltasafe.io.storage import digest_of, sha256_of_file
 from deltasafe.perception.data.dataset_info import HANDS, DatasetInfo, SetOptions
 from deltasafe.perception.data.labeled_pair import aligned_mask, scaled_mask
 from deltasafe.perception.data.masks import dither_defect, polarity_defect, read_marked
+from deltasafe.perception.data.thumbnails import SIDE_PX, thumbnail
 
 T = TypeVar("T")
 
@@ -54,6 +56,7 @@ class LabeledImageSet:
             folder's path.
         options: how the masks are read, from the file ``dataset.json``.
         info: what the masks mark, from the same file.
+        thumbnails: (N, 2, 16, 16) of images and masks, see `near_copies`.
     """
 
     name: str
@@ -62,6 +65,9 @@ class LabeledImageSet:
     digest: str
     options: SetOptions = dataclasses.field(default_factory=SetOptions)
     info: DatasetInfo = HANDS
+    thumbnails: NDArray[np.float32] = dataclasses.field(
+        default_factory=lambda: np.zeros((0, 2, SIDE_PX, SIDE_PX), np.float32), compare=False, repr=False
+    )
 
     @classmethod
     def load(cls, folder: str | pathlib.Path, registry: str | pathlib.Path | None = None) -> "LabeledImageSet":
@@ -94,20 +100,21 @@ class LabeledImageSet:
         if registry is not None:
             files = [path for item in items for path in (item.image, item.mask)]
             defects += _unregistered([*files, *folder.glob("dataset.json")], pathlib.Path(registry))
-        read, pixel_digests, contents = [], [], []
+        read, pixel_digests, contents, thumbnails = [], [], [], []
         for item in items:
             if (found := _read_or_note(item, options, defects)) is not None:
                 rgb, mask, mark = found
                 pixel_digests.append(_pixel_digest(rgb))
                 contents.append((item.id, pixel_digests[-1], _pixel_digest(mask)))
+                thumbnails.append(thumbnail(rgb, mask))
                 read.append(dataclasses.replace(item, mark=mark))
         defects += _different_marks(folder / "masks", read)
         if read and not any(item.shows_hand for item in read):
             defects.append(DataError(folder / "masks", "mark no hand in any image (255 = hand); label the images"))
         if defects:
             raise DataError.combined(folder, defects)
-        content = contents if info.obstacle == HANDS.obstacle else [info, contents]
-        return cls(folder.name, tuple(read), tuple(pixel_digests), digest_of(content), options, info)
+        digest = digest_of(contents if info.obstacle == HANDS.obstacle else [info, contents])
+        return cls(folder.name, tuple(read), tuple(pixel_digests), digest, options, info, np.stack(thumbnails))
 
     def __len__(self) -> int:
         return len(self.items)

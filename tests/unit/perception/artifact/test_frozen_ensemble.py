@@ -5,6 +5,7 @@ import pathlib
 import shutil
 import subprocess
 import sys
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -379,6 +380,30 @@ def test_predict_command_takes_a_turned_photograph(frozen, tmp_path, capsys):
     Image.fromarray(image(60, 80)).save(tmp_path / "phone.jpg", exif=exif)
     assert main(["predict", str(frozen), str(tmp_path / "phone.jpg"), "-o", str(tmp_path / "out.png")]) == 0
     assert cv2.imread(str(tmp_path / "out.png")).shape == (80, 60, 3)
+
+
+def test_predict_command_scales_a_photograph_of_48_megapixels_down(frozen, tmp_path, capsys, monkeypatch):
+    from deltasafe.perception.artifact import frozen_ensemble
+    from deltasafe.perception.settings import PREDICTION_PIXELS
+
+    class Recorded:
+        def p_occupied(self, rgb):
+            self.shape = rgb.shape
+            return np.zeros(rgb.shape[:2], np.float32)
+
+    ensemble = Recorded()
+    monkeypatch.setattr(frozen_ensemble, "load_ensemble", lambda folder: ensemble)
+    Image.new("RGB", (8000, 6000), (120, 90, 60)).save(tmp_path / "phone.jpg")
+    tracemalloc.start()
+    assert main(["predict", str(frozen), str(tmp_path / "phone.jpg"), "-o", str(tmp_path / "out.png")]) == 0
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    height, width, _ = ensemble.shape
+    assert 0.99 * PREDICTION_PIXELS < height * width <= PREDICTION_PIXELS
+    assert width / height == pytest.approx(4 / 3, abs=2e-3)
+    assert peak < 120 * PREDICTION_PIXELS, "about four arrays of three float64 per pixel"
+    assert cv2.imread(str(tmp_path / "out.16bit.png"), cv2.IMREAD_UNCHANGED).shape == (height, width)
+    assert f"scaled down from 8000 x 6000 to {width} x {height} pixels" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("given", [None, [[[0, 0, 0]]], Image.new("RGB", (64, 48)), torch.zeros(48, 64, 3)])

@@ -3,6 +3,7 @@
 import json
 import shutil
 import sys
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -271,6 +272,26 @@ def test_command_writes_sheet_and_tables(source, tmp_path, capsys):
     assert (tinted[..., 2] - tinted[..., 0] > 30).any()
     assert cli.main(["hands", "import", str(folder), str(out)]) == 1
     assert "exists already" in capsys.readouterr().err
+
+
+def test_photographs_are_converted_one_after_another(tmp_path):
+    """Memory is that of one photograph, however many there are and however large they are."""
+    height, width, peaks = 600, 800, []
+    for n in (2, 8):
+        folder = tmp_path / f"{n}"
+        for part in ("images", "masks"):
+            (folder / part).mkdir(parents=True)
+        for k in range(n):
+            mask = np.zeros((height, width), np.uint8)
+            mask[100 + k : 200, 100:300] = 255
+            cv2.imwrite(str(folder / "images" / f"{k}.jpg"), np.full((height, width, 3), 20 * k, np.uint8))
+            cv2.imwrite(str(folder / "masks" / f"{k}.png"), mask)
+        tracemalloc.start()
+        import_hands(folder, tmp_path / f"out {n}")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]
+    assert peaks[0] < 30 * height * width, "bytes per pixel"
 
 
 def test_label_studio_labels_in_a_control_of_their_own(source, tmp_path):
