@@ -101,13 +101,15 @@ class _StepLog:
 
     Attributes:
         images_per_s: training speed at the end of every epoch, by member and epoch.
+        losses: losses of the present epoch, by member. After each epoch, an observation of the asset shows their mean.
         trained_ms: first and last step of each member that was trained here, in Unix milliseconds.
     """
 
     def __init__(self, context: dg.AssetExecutionContext, settings: TrainingSettings, seeds: Mapping[str, int]) -> None:
-        self._settings = settings
+        self._settings, self._context = settings, context
         self._progress = {name: progress_of(context, every_s=20.0) for name in seeds}
         self.images_per_s: dict[str, dict[int, float]] = {name: {} for name in seeds}
+        self.losses: dict[str, list[float]] = {name: [] for name in seeds}
         self.trained_ms: dict[str, tuple[int, int]] = {}
 
     def on_step(self, name: str, step: "StepReport") -> None:
@@ -118,6 +120,19 @@ class _StepLog:
         text = f"{name}: epoch {step.epoch} of {self._settings.epochs}, loss {step.loss:.3f}"
         text = f"{text}, {step.images_per_s:.1f} images/s, {left_min:.1f} min left"
         self._progress[name](step.step, step.n_steps, text)
+        self.losses[name].append(step.loss)
+        if step.step * self._settings.epochs % step.n_steps == 0:
+            self._end_of_epoch(name, step)
+
+    def _end_of_epoch(self, name: str, step: "StepReport") -> None:
+        losses = self.losses[name]
+        metadata = {
+            "epoch": step.epoch,
+            "loss of the epoch": sum(losses) / len(losses),
+            "images/s": round(step.images_per_s, 2),
+        }
+        self._context.log_event(dg.AssetObservation(self._context.asset_key, partition=name, metadata=metadata))
+        losses.clear()
 
 
 def _flat(settings: TrainingSettings) -> dict[str, object]:

@@ -12,6 +12,7 @@ import assets.perception_study
 import assets.planner_study
 import assets.safety_study
 import assets.single_scene
+import assets.staleness
 import assets.tracking_study
 from assets.interfaces import Store
 from pipelines import jobs, operation
@@ -51,7 +52,10 @@ def build_defs(root: pathlib.Path | None = None) -> dg.Definitions:
                 operation,
             ]
         ),
-        asset_checks=dg.load_asset_checks_from_modules([assets.checks, assets.single_scene, assets.tracking_study]),
+        asset_checks=[
+            *dg.load_asset_checks_from_modules([assets.checks, assets.single_scene, assets.tracking_study]),
+            *assets.staleness.CHECKS,
+        ],
         jobs=[
             jobs.everything,
             jobs.perception,

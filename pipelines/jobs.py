@@ -29,10 +29,12 @@ def is_unattended() -> bool:
 ALL_MEMBERS = _all_partitions(members)
 ALL_CELLS = _all_partitions(cells)
 
+_PARTITION = "In the launchpad, leave the field Partition empty: then all members are trained."
+
 perception = dg.define_asset_job(
     "perception",
     dg.AssetSelection.groups("perception"),
-    description="Trains, evaluates, freezes and registers an ensemble from the labeled images.",
+    description=f"Trains, evaluates, freezes and registers an ensemble from the labeled images. {_PARTITION}",
     tags=ALL_MEMBERS,
 )
 
@@ -45,7 +47,8 @@ planning = dg.define_asset_job(
 everything = dg.define_asset_job(
     "everything",
     dg.AssetSelection.groups("perception", "motion"),
-    description="The whole pipeline: from labeled images to executed motions and the safety report (`make demo`).",
+    description="The whole pipeline: from labeled images to executed motions and the safety report (`make demo`). "
+    f"{_PARTITION}",
     tags=ALL_MEMBERS,
 )
 

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import dagster as dg
 from dagster import DagsterEvent, Executor
 from dagster._core.events import EngineEventData
-from dagster._core.storage.tags import MAX_RETRIES_TAG
+from dagster._core.storage.tags import BACKFILL_ID_TAG, MAX_RETRIES_TAG
 
 from deltasafe.compute.processes import descendants, kill_with_descendants, parent_of, start_mark
+from pipelines.automation.launch_check import lineage_error
 from pipelines.home import DATABASE_VARIABLE
 
 if TYPE_CHECKING:
@@ -22,9 +23,14 @@ if TYPE_CHECKING:
     from dagster._core.execution.plan.plan import ExecutionPlan
     from dagster._core.execution.retries import RetryMode
     from dagster._core.execution.step_dependency_config import StepDependencyConfig
+    from dagster._core.storage.dagster_run import DagsterRun
 
 MACHINE_TAG = "deltasafe/machine"
 """Tag of a run with the host name of its machine, if machines share a database."""
+PROCESS_TAG = "deltasafe/process"
+"""Tag of a run that a command executes: its ID, PID and start mark of the process."""
+FAILED_CHECKS_TAG = "deltasafe/failed_checks"
+"""Tag of a run with its failed checks."""
 _PATIENCE_S = 6.0
 """From the termination request to SIGKILL. Python cannot interrupt compiled code."""
 _PID, _START = "pid", "start"
@@ -43,9 +49,9 @@ class RunProcess(NamedTuple):
 
 
 def process_of(instance: dg.DagsterInstance, run_id: str) -> RunProcess | None:
-    """Read the process of a run from its events; None if no event names it yet.
+    """Read the process of a run from its events, else from the tag of a command; None if neither names it yet.
 
-    Tags were rejected: a re-execution copies the tags of its parent run.
+    A re-execution copies the tags of its parent run, so the tag also names the run that it belongs to.
     """
     found: RunProcess | None = None
     for entry in instance.all_logs(run_id, of_type=dg.DagsterEventType.ENGINE_EVENT):
@@ -56,7 +62,23 @@ def process_of(instance: dg.DagsterInstance, run_id: str) -> RunProcess | None:
         data = {key: str(metadata[key].value) for key in (_PID, _START) if key in metadata}
         if found is None or found.start is None or _START in data:
             found = RunProcess(int(data[_PID]), data.get(_START))
-    return found
+    return found or _process_in_tag(instance.get_run_by_id(run_id))
+
+
+def process_tags(run_id: str) -> dict[str, str]:
+    """Return tags with which a run that this process executes is created.
+
+    An event would come too late: the process can end, or the disk be full, before one is stored.
+    """
+    machine = {MACHINE_TAG: platform.node()} if os.environ.get(DATABASE_VARIABLE) else {}
+    return {**machine, PROCESS_TAG: " ".join((run_id, *_process(os.getpid()).values()))}
+
+
+def _process_in_tag(run: "DagsterRun | None") -> RunProcess | None:
+    run_id, *process = (run.tags.get(PROCESS_TAG, "") if run else "").split(" ")
+    if run is None or run_id != run.run_id:
+        return None
+    return RunProcess(int(process[0]), process[1] if len(process) > 1 else None)
 
 
 def step_processes(instance: dg.DagsterInstance, run_id: str) -> set[int]:
@@ -101,6 +123,7 @@ class _Supervised(Executor):
         yield DagsterEvent.engine_event(plan_context, f"The run is process {pid}", EngineEventData(_process(pid)))
         self._refuse_or_start(plan_context, execution_plan)
         steps: set[int] = set()
+        failed: set[str] = set()
         servers: set[int] = set()
         killer = threading.Timer(_PATIENCE_S, _kill, (plan_context, steps))
         killer.daemon = True
@@ -108,12 +131,15 @@ class _Supervised(Executor):
             for event in self._executor.execute(plan_context, execution_plan):
                 if (step := _pid_of_step(event)) is not None:
                     steps.add(step)
+                if event.event_type == dg.DagsterEventType.ASSET_CHECK_EVALUATION:
+                    failed |= _failed_check(event)
                 if killer.ident is None and _is_termination(event):
                     servers = _fork_servers(steps)
                     killer.start()
                 yield event
         finally:
             killer.cancel()
+            _tag_failed_checks(plan_context, failed)
             for server in servers:  # otherwise it exits only after this process, and takes seconds
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(server, signal.SIGKILL)
@@ -121,7 +147,8 @@ class _Supervised(Executor):
     def _refuse_or_start(self, plan_context: "PlanOrchestrationContext", execution_plan: "ExecutionPlan") -> None:
         """Raise `dagster.Failure` if the launch check refuses the run."""
         run = plan_context.dagster_run
-        if refused := self._launch_check(run.run_config, execution_plan.step_keys_to_execute):
+        steps = execution_plan.step_keys_to_execute
+        if refused := lineage_error(_selected(plan_context, steps)) or self._launch_check(run.run_config, steps):
             plan_context.instance.add_run_tags(run.run_id, {MAX_RETRIES_TAG: "0"})
             raise dg.Failure(refused, allow_retries=False)
 
@@ -134,6 +161,14 @@ class _Supervised(Executor):
         return self._executor.step_dependency_config
 
 
+def _selected(plan_context: "PlanOrchestrationContext", steps: Collection[str]) -> set[str]:
+    """Return the steps of a run, and the assets of its backfill, which may have several runs."""
+    backfill_id = plan_context.dagster_run.tags.get(BACKFILL_ID_TAG)
+    backfill = plan_context.instance.get_backfill(backfill_id) if backfill_id else None
+    keys = (backfill.asset_selection if backfill else None) or ()
+    return {*steps, *(key.path[-1] for key in keys)}
+
+
 def _process(pid: int) -> dict[str, str]:
     start = start_mark(pid)
     return {_PID: str(pid), **({} if start is None else {_START: start})}
@@ -144,6 +179,21 @@ def _pid_of_step(event: DagsterEvent | None) -> int | None:
         return None
     pid = event.engine_event_data.metadata.get("pid")
     return None if pid is None else int(str(pid.value))
+
+
+def _failed_check(event: DagsterEvent) -> set[str]:
+    check = event.asset_check_evaluation_data
+    return set() if check.passed else {f"{check.asset_key.to_user_string()}.{check.check_name}"}
+
+
+def _tag_failed_checks(plan_context: "PlanOrchestrationContext", failed: set[str]) -> None:
+    """Show failed checks in the list of runs. Dagster colors a run by its steps alone: a check that does not block
+    leaves it green."""
+    run = plan_context.dagster_run
+    if failed or FAILED_CHECKS_TAG in run.tags:  # a re-execution has the tags of its parent run
+        text = ", ".join(sorted(failed)) or "none"
+        plan_context.instance.add_run_tags(run.run_id, {FAILED_CHECKS_TAG: text})
+        plan_context.instance.report_engine_event(f"Failed checks: {text}", run)
 
 
 def _is_termination(event: DagsterEvent) -> bool:

@@ -22,6 +22,31 @@ def launch_error(run_config: Mapping[str, Any], steps: Collection[str], store: S
     return wrong_settings(run_config) or defective_inputs(run_config, steps, store)
 
 
+_ASKED_FOR = {
+    "logged_scene": "single_scene",
+    "study_cell": "perception_study",
+    "planner_costs": "planner_study",
+    "safety_trials": "safety_study",
+    "tracking_bound": "tracking_study",
+}
+"""First asset and job of what is made only if it is asked for."""
+_MAX_ASKED_FOR = 2
+
+
+def lineage_error(selected: Collection[str]) -> str:
+    """Return why the chain and (nearly) everything else must not be made together; empty if that was not selected.
+
+    *Materialize all* in the unfiltered lineage selects it, and Dagster cannot exclude assets from that button.
+    """
+    jobs = sorted(job for asset, job in _ASKED_FOR.items() if asset in selected)
+    if "ensemble_member" not in selected or len(jobs) <= _MAX_ASKED_FOR:
+        return ""
+    return (
+        "nothing was run, since all assets were selected, with studies that take hours: for the chain use the job "
+        f"everything; the others have the jobs {', '.join(jobs)}"
+    )
+
+
 def wrong_settings(run_config: Mapping[str, Any]) -> str:
     """Validate all settings of a run configuration; return one message with all errors, or an empty string."""
     classes, errors = _config_classes(), []

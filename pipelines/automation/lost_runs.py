@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from dagster._core.storage.dagster_run import DagsterRun
 
 _STARTING = dg.DagsterRunStatus.STARTING
-_UNFINISHED = [_STARTING, dg.DagsterRunStatus.STARTED, dg.DagsterRunStatus.CANCELING]
+_UNFINISHED = [dg.DagsterRunStatus.NOT_STARTED, _STARTING, dg.DagsterRunStatus.STARTED, dg.DagsterRunStatus.CANCELING]
+"""A run that is not started has no process yet, except those of commands, which are created with theirs."""
 _ABORTED = [dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED]
 _N_LATEST = 20
 """Number of the latest ended runs that are checked for leftover processes."""

@@ -1,5 +1,6 @@
-"""Sensors: new labeled images, new scenes, changed inputs, decisions in MLflow, and lost runs."""
+"""Sensors: new labeled images, new scenes, changed inputs, decisions in MLflow, stale partitions, and lost runs."""
 
+import json
 import os
 import pathlib
 from collections.abc import Sequence
@@ -7,6 +8,7 @@ from typing import Any
 
 import dagster as dg
 
+from assets import staleness
 from assets.single_scene import scenes as scene_partitions
 from deltasafe.errors import DeltasafeError
 from pipelines import jobs
@@ -48,6 +50,11 @@ _LOST_RUNS_DESCRIPTION = (
     "Marks runs as failed whose process was killed, frees their pool slots, and kills processes of ended runs."
 )
 
+_STALE_DESCRIPTION = (
+    f"Evaluates the check {staleness.CHECK} of partitioned assets when one of their inputs was made again: Dagster "
+    "itself shows such partitions as fresh."
+)
+
 
 def all_sensors(home: pathlib.Path) -> Sequence[dg.SensorDefinition]:
     """Build the sensors for a home. Those that start work are off unless `$DELTASAFE_UNATTENDED` is 1."""
@@ -79,6 +86,10 @@ def all_sensors(home: pathlib.Path) -> Sequence[dg.SensorDefinition]:
     def decisions_in_mlflow(context: dg.SensorEvaluationContext) -> dg.SkipReason:
         return dg.SkipReason(check_decisions(context, home))
 
+    @dg.sensor(jobs=[jobs.perception], description=_STALE_DESCRIPTION, **{**common, "default_status": running})
+    def stale_partitions(context: dg.SensorEvaluationContext) -> dg.SkipReason:
+        return dg.SkipReason(check_stale(context))
+
     follow_changes = dg.AutomationConditionSensorDefinition(
         "follow_changes",
         target=dg.AssetSelection.groups("motion"),
@@ -86,7 +97,21 @@ def all_sensors(home: pathlib.Path) -> Sequence[dg.SensorDefinition]:
         run_tags=jobs.UNATTENDED,
         **common,
     )
-    return [labeled_images, logged_scenes_folder, follow_changes, lost_runs, decisions_in_mlflow]
+    return [labeled_images, logged_scenes_folder, follow_changes, lost_runs, decisions_in_mlflow, stale_partitions]
+
+
+def check_stale(context: dg.SensorEvaluationContext) -> str:
+    """Report the check of each partitioned asset if its result has changed; return one sentence on what was found."""
+    reported = json.loads(context.cursor or "{}")
+    for asset in staleness.CHECKED:
+        if not context.instance.get_materialized_partitions(dg.AssetKey(asset)):
+            continue
+        found = staleness.evaluation(context.instance, asset)
+        if reported.get(asset) != found.description:
+            context.instance.report_runless_asset_event(found)
+            reported[asset] = found.description
+    context.update_cursor(json.dumps(reported))
+    return "; ".join(f"{asset}: {text}" for asset, text in reported.items()) or "no partition was made yet"
 
 
 def check_decisions(context: dg.SensorEvaluationContext, home: pathlib.Path) -> str:

@@ -6,12 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import dagster as dg
+from dagster._core.definitions.reconstruct import ReconstructableJob
+from dagster._core.execution.api import execute_run
+from dagster._core.utils import make_new_run_id
 
 from assets.interfaces import Store
 from pipelines.automation.launch_check import launch_error
 from pipelines.automation.lost_runs import fail_lost_runs
 from pipelines.home import DATASETS, home
 from pipelines.storage.io_manager import FolderPointers
+from pipelines.supervision import process_tags
 
 
 def job_named(name: str) -> dg.JobDefinition:
@@ -40,10 +44,28 @@ def run_to_end(name: str, steps: Mapping[str, Mapping[str, Any]], again: str) ->
     with dg.DagsterInstance.get() as instance:
         fail_lost_runs(instance)  # a killed run would hold its pool slots forever
         run_config = {"loggers": {"console": {"config": {}}}, "ops": ops}
-        if dg.execute_job(job, instance=instance, run_config=run_config).success:
+        if execute(job, instance, run_config).success:
             return True
     print(f"\nThe run failed. {again} resumes it and keeps finished work; `make ui` shows the failed step.")
     return False
+
+
+def execute(
+    job: ReconstructableJob, instance: dg.DagsterInstance, run_config: Mapping[str, Any]
+) -> dg.JobExecutionResult:
+    """Execute a job in this process, as `dagster.execute_job`, but create the run with its process.
+
+    Otherwise a run that is killed before its executor begins would stay in the state "not started" forever.
+    """
+    definition, run_id = job.get_definition(), make_new_run_id()
+    run = instance.create_run_for_job(
+        definition,
+        run_id=run_id,
+        run_config=run_config,
+        tags={**definition.run_tags, **process_tags(run_id)},
+        job_code_origin=job.get_python_origin(),
+    )
+    return execute_run(job, run, instance)
 
 
 def latest_folder(root: pathlib.Path, asset: str) -> pathlib.Path:

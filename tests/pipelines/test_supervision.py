@@ -15,7 +15,8 @@ from dagster._core.execution.retries import auto_reexecution_should_retry_run
 
 from deltasafe.compute.processes import descendants, is_running, start_mark
 from pipelines.automation.lost_runs import end_leftover_processes, fail_lost_runs
-from pipelines.supervision import RunProcess, process_of, supervised
+from pipelines.commands import run_job
+from pipelines.supervision import FAILED_CHECKS_TAG, RunProcess, process_of, supervised
 from tests.pipelines.long_run import POOL
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -127,6 +128,27 @@ def test_a_reused_pid_is_another_process(instance):
     assert {instance.get_run_by_id(each).status for each in alive} == {dg.DagsterRunStatus.STARTED}
 
 
+@pytest.mark.parametrize("at", ["importing", "starting"])
+def test_a_command_that_dies_before_its_first_step_is_a_lost_run(instance, monkeypatch, at):
+    def dies(job, run, instance):
+        if at == "starting":
+            instance.report_dagster_event(dg.DagsterEvent("PIPELINE_STARTING", run.job_name), run.run_id)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_job, "execute_run", dies)
+    with pytest.raises(KeyboardInterrupt):
+        run_job.execute(dg.reconstructable(recorded), instance, {})
+    (run,) = instance.get_runs()
+    assert run.status == getattr(dg.DagsterRunStatus, {"importing": "NOT_STARTED"}.get(at, "STARTING"))
+    assert fail_lost_runs(instance) == []
+    again = instance.create_run_for_job(recorded(), tags=run.tags)  # a re-execution copies the tags
+    mark = start_mark(os.getpid())
+    monkeypatch.setattr("pipelines.automation.lost_runs.is_running", lambda *process: process != (os.getpid(), mark))
+    assert fail_lost_runs(instance) == [run.run_id]
+    assert instance.get_run_by_id(run.run_id).status == FAILED
+    assert instance.get_run_by_id(again.run_id).status == dg.DagsterRunStatus.NOT_STARTED
+
+
 @pytest.mark.parametrize("step_s", [-1e6, 10.0, 1e6])
 def test_a_clock_change_fails_no_run(instance, monkeypatch, step_s):
     started_run(instance, {"pid": str(os.getpid())})
@@ -185,3 +207,35 @@ def test_a_refused_run_starts_no_step_and_is_not_retried(instance):
     assert not [event for event in events if event.is_step_event]
     (failure,) = [event for event in events if event.is_job_failure]
     assert "['nothing'] are refused" in failure.job_failure_data.error.message
+
+
+PASSED = {"audit": False, "bound": False}
+
+
+def checked():
+    @dg.asset
+    def report():
+        pass
+
+    @dg.multi_asset_check(specs=[dg.AssetCheckSpec(name, asset=report) for name in PASSED])
+    def checks():
+        for name, passed in PASSED.items():
+            yield dg.AssetCheckResult(check_name=name, passed=passed, severity=dg.AssetCheckSeverity.WARN)
+
+    jobs = [dg.define_asset_job("work")]
+    defs = dg.Definitions([report], jobs=jobs, asset_checks=[checks], executor=supervised(dg.in_process_executor))
+    return defs.resolve_job_def("work")
+
+
+def test_failed_checks_are_a_tag_of_the_green_run(instance, monkeypatch):
+    def run(tags, **passed):
+        for name, value in passed.items():
+            monkeypatch.setitem(PASSED, name, value)
+        with dg.execute_job(dg.reconstructable(checked), instance=instance, tags=tags) as result:
+            assert result.success
+            return instance.get_run_by_id(result.run_id).tags
+
+    failed = run({}, audit=True)
+    assert failed[FAILED_CHECKS_TAG] == "report.bound"
+    assert run(failed, bound=True)[FAILED_CHECKS_TAG] == "none", "the tags of the parent run were copied"
+    assert FAILED_CHECKS_TAG not in run({})

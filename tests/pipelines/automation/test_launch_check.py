@@ -1,9 +1,14 @@
 """A run of the whole chain with defective folders ends before its first step, and names the defects of all folders."""
 
+from types import SimpleNamespace
+
 import dagster as dg
 
+from pipelines.automation.launch_check import lineage_error
+from pipelines.build import build_defs
 from pipelines.commands import run_job
 from pipelines.home import prepare_home
+from pipelines.supervision import _selected
 from tests.ensembles import write_hands
 
 
@@ -27,3 +32,16 @@ def test_defective_folders_end_the_run_before_its_first_step(tmp_path, monkeypat
     assert "2.png: has no counterpart" in message
     assert f"scenes: {tmp_path / 'nowhere'}" in message
     assert not (root / "store").exists()
+
+
+def test_all_assets_of_the_lineage_are_refused_in_a_run_and_in_a_run_of_a_backfill(tmp_path, monkeypatch):
+    groups = {spec.key.to_user_string(): spec.group_name for spec in build_defs(tmp_path).resolve_all_asset_specs()}
+    chain = [name for name, group in groups.items() if group in ("perception", "motion")]
+    assert lineage_error(chain) == ""
+    assert lineage_error(set(groups) - set(chain)) == "", "studies that were asked for"
+    for job in {*groups.values()} - {"perception", "motion", "operation"}:
+        assert job in lineage_error(groups)
+    backfill = SimpleNamespace(asset_selection=[dg.AssetKey(name) for name in groups])
+    instance = SimpleNamespace(get_backfill={"abc": backfill}.get)
+    run = SimpleNamespace(tags={"dagster/backfill": "abc"})
+    assert _selected(SimpleNamespace(dagster_run=run, instance=instance), ["raw_hands"]) == {*groups}
