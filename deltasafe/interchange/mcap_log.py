@@ -10,7 +10,7 @@ from typing import Any
 
 from deltasafe.errors import SettingsError
 from deltasafe.interchange.log_content import LogBuilder, stamp
-from deltasafe.interchange.messages import KINDS, type_name_of
+from deltasafe.interchange.messages import KINDS, normalized, type_name_of
 from deltasafe.interchange.ros_bag import decode_cdr
 from deltasafe.interchange.schemas import SCHEMAS
 from deltasafe.io.storage import atomic_file, parse_json
@@ -110,6 +110,46 @@ def _add_records(path: pathlib.Path, builder: LogBuilder) -> None:
                 builder.facts[record.name] = {key: parse_json(value) for key, value in record.metadata.items()}
             elif isinstance(record, Attachment):
                 builder.attachments[record.name] = bytes(record.data)
+
+
+def image_messages(path: pathlib.Path, topic: str = "") -> Iterator[tuple[str, int, dict[str, Any]]]:
+    """Yield topic, time of recording (ns) and message of each image, in Foxglove's form; only of ``topic`` if given.
+
+    Raises:
+        SettingsError: the package mcap is not installed, or rosbags for messages in CDR.
+        ValueError, and others of ``READ_ERRORS``: the file is damaged.
+    """
+    _require_mcap()
+    from mcap.exceptions import McapError
+    from zstandard import ZstdError
+
+    try:
+        yield from _images(path, topic)
+    except (McapError, ZstdError, AssertionError, IndexError, OverflowError) as error:
+        raise ValueError(repr(error)) from error
+
+
+def _images(path: pathlib.Path, topic: str) -> Iterator[tuple[str, int, dict[str, Any]]]:
+    from mcap.records import Channel, Message, Schema
+    from mcap.stream_reader import StreamReader
+
+    channels: dict[int, Any] = {}
+    types: dict[int, str] = {}
+    with path.open("rb") as stream:
+        for record in StreamReader(stream, validate_crcs=True, record_size_limit=path.stat().st_size).records:
+            if isinstance(record, Schema):
+                types[record.id] = type_name_of(record.name)
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message):
+                channel = channels[record.channel_id]
+                name = types.get(channel.schema_id, "")
+                if KINDS.get(name) != "image" or topic not in ("", channel.topic):
+                    continue
+                is_json = channel.message_encoding == "json"
+                message = _object(record.data) if is_json else decode_cdr(name, record.data)
+                for image in normalized(name, message):
+                    yield channel.topic, record.log_time, image
 
 
 def _object(data: bytes) -> dict[str, Any]:

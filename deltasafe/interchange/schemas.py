@@ -1,4 +1,4 @@
-"""JSON schemas of the messages: Foxglove's, by name and fields, and two of our own.
+"""JSON schemas of the messages: Foxglove's, by name and fields, and four of our own.
 
 Viewers identify a message by the name of its schema (https://docs.foxglove.dev/docs/sdk/schemas).
 """
@@ -101,6 +101,29 @@ SCHEMAS: dict[str, Schema] = {
             contacts=COUNT,
             reference_speed_mps=NUMBER,
             workspace_error_m=NUMBER,
+        ),
+        _record(
+            "deltasafe.OccupancyImage",
+            timestamp=TIME,
+            captured_s={"type": ["number", "null"]},
+            defect=TEXT,
+            width=COUNT,
+            height=COUNT,
+            zlib={"type": "string", "contentEncoding": "base64"},
+        ),
+        _record(
+            "deltasafe.OnlineDecision",
+            timestamp=TIME,
+            now_s=NUMBER,
+            tool_pose=_list({"type": ["number", "null"]}, minItems=4, maxItems=4),
+            has_image={"type": "boolean"},
+            kind=TEXT,
+            reason=TEXT,
+            rate=NUMBER,
+            plan=COUNT,
+            planned={"type": "boolean"},
+            captured_s={"type": ["number", "null"]},
+            timing_ms={"type": "object"},
         ),
     )
 }

@@ -79,15 +79,15 @@ class DistanceField:
     arrays: FieldArrays = dataclasses.field(repr=False)
 
     @classmethod
-    def build(cls, grid: OccupancyGrid, delta: float) -> "DistanceField":
-        """Compute exact Euclidean distances to {p_occupied > delta}, up to ``REACH_M`` or 90 voxels.
+    def build(cls, grid: OccupancyGrid, delta: float, reach_m: float = REACH_M) -> "DistanceField":
+        """Compute exact Euclidean distances to {p_occupied > delta}, up to ``reach_m`` or 90 voxels.
 
         Raises:
             SettingsError: delta is not in (0, 1).
         """
         if not (math.isfinite(delta) and 0 < delta < 1):
             raise SettingsError(f"delta must be in (0, 1), got {delta}")
-        reach = min(math.ceil(REACH_M / grid.voxel_m), MAX_REACH)
+        reach = min(math.ceil(reach_m / grid.voxel_m), MAX_REACH)
         nx, ny, nz = grid.p_occupied.shape
         # one layer of unknown voxels on each side, free space above: farther out, distances follow from these
         unsafe = np.ones((nx + 2, ny + 2, nz + reach), np.bool_)
