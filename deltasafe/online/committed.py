@@ -125,7 +125,9 @@ def piece_and_brake(
     change = np.clip(target - rate, -slope * since, slope * since)
     piece = rate + change
     n_brake = int(np.ceil(piece[-1] / (slope * step) - 1e-9))
+    n_brake = max(n_brake, int(piece[-1] > 0))
     brake = np.maximum(piece[-1] - slope * step * np.arange(1, n_brake + 1), 0.0)
+    brake[-1:] = 0.0
     rates = np.concatenate([piece, brake])
     progress = progress_s + np.append(0.0, np.cumsum((rates[:-1] + rates[1:]) / 2 * step))
     at_end = progress >= path_end_s
@@ -136,4 +138,5 @@ def piece_and_brake(
     speed = (np.linalg.norm(moved[:, :3], axis=1) + path.rho_max_m * np.abs(moved[:, 3])) / step
     # the reference is straight between samples; a sample has the larger speed of both sides, and the last one rests
     speeds = np.append(np.maximum(np.append(0.0, speed[:-1]), speed), 0.0)
-    return Committed(start_s + step * np.arange(len(rates)), poses, speeds, progress, rates, path, captured_s)
+    time_s = np.asarray(start_s + step * np.arange(len(rates)), np.float64)
+    return Committed(time_s, poses, speeds, progress, rates, path, captured_s)

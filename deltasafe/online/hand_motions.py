@@ -1,5 +1,6 @@
 """Motions of a hand in the plane of the table: across the path, toward it, away from it, after the tool, and sudden."""
 
+import bisect
 import math
 
 import numpy as np
@@ -41,8 +42,12 @@ class HandMotion:
     def __call__(self, time_s: float) -> Array:
         """Return the displacement (2,) in meters at a time."""
         if self.kind == "following":
-            times, path = np.array(self._times), np.array(self._path)
-            return np.array([np.interp(time_s, times, path[:, axis]) for axis in range(2)])
+            after = bisect.bisect_right(self._times, time_s)
+            if after == len(self._times):
+                return self._path[-1]
+            first_s, second_s = self._times[after - 1 : after + 1]
+            share = (time_s - first_s) / (second_s - first_s)
+            return np.asarray(self._path[after - 1] + share * (self._path[after] - self._path[after - 1]))
         if self.kind == "crossing":
             along = (self._phase_m + REACH_M + self.speed_mps * time_s) % (4 * REACH_M)
             return np.array([REACH_M - abs(along - 2 * REACH_M), self._to[1]])

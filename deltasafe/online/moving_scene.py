@@ -26,14 +26,16 @@ def surface_points(vertices_m: NDArray[np.float32], triangles: NDArray[np.int32]
     """Points (N, 3) on a mesh: each triangle between them has edges of at most ``spacing_m``."""
     corners = np.asarray(vertices_m, np.float64)[triangles]
     done = [corners.reshape(-1, 3)]
-    while len(corners):
+    while True:
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
         corners = corners[edges.max(axis=1) > spacing_m]
+        if not len(corners):
+            break
         middle = (corners + np.roll(corners, -1, axis=1)) / 2
         a, b, c = np.moveaxis(corners, 1, 0)
         ab, bc, ca = np.moveaxis(middle, 1, 0)
         parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-        corners = np.concatenate([np.stack(part, axis=1) for part in parts]) if len(corners) else corners
+        corners = np.concatenate([np.stack(part, axis=1) for part in parts])
         done.append(middle.reshape(-1, 3))
     return np.unique(np.round(np.concatenate(done), 6), axis=0)
 

@@ -13,6 +13,9 @@ from deltasafe.online.loop import Decision, OnlineLoop
 
 Array = NDArray[np.float64]
 
+STEP_S = 0.005
+"""Time between two recorded samples."""
+
 
 @dataclasses.dataclass(frozen=True)
 class LiveRun:
@@ -69,7 +72,6 @@ def run_simulated(
     source: FrameSource,
     arm: KinematicArm,
     duration_s: float,
-    step_s: float = 0.005,
     clock: Callable[[float], float] = lambda time_s: time_s,
     on_sample: Callable[[float, Array], None] = lambda time_s, pose: None,
     note: Callable[..., None] = lambda *cycle: None,
@@ -77,14 +79,13 @@ def run_simulated(
     """Run the loop for a time, or until the arm rests at its goal.
 
     Args:
-        step_s: time between two recorded samples.
         clock: what the loop reads as the control's clock at a true time; faults of a clock can be injected. The arm
             follows the committed reference by the true time.
         on_sample: is called with each time and pose (4,) of the tool, for hands that follow it.
         note: is called with each cycle, as `deltasafe.online.decision_log.record_run` takes it.
     """
     period_s = loop.settings.cycle_s
-    per_cycle = max(1, round(period_s / step_s))
+    per_cycle = max(1, round(period_s / STEP_S))
     rows: list[tuple[float, Array, Array, float, float]] = []
     decisions: list[Decision] = []
     pose = loop.committed.poses[-1]
@@ -96,13 +97,12 @@ def run_simulated(
         note(clock(now_s), observation, pose, decisions[-1], loop.timing_ms)
         for n in range(per_cycle):
             time_s = now_s + n * period_s / per_cycle
-            reference, speed_mps = before.at(time_s)
-            pose = arm.pose(reference, speed_mps, time_s)
+            target, speed = before.at(time_s)
+            pose = arm.pose(target, speed, time_s)
             on_sample(time_s, pose)
-            rows.append((time_s, reference, pose, speed_mps, before.captured_s))
-        reference, speed_mps = loop.committed.at(now_s + period_s)
-        pose = arm.pose(reference, speed_mps, now_s + period_s)
+            rows.append((time_s, target, pose, speed, before.captured_s))
+        pose = arm.pose(*loop.committed.at(now_s + period_s), now_s + period_s)
         if decisions[-1].kind == "goal":
             break
-    columns = [np.array(column) for column in zip(*rows, strict=True)]
-    return LiveRun(*columns, tuple(decisions))
+    times, references, poses, speeds, captured = (np.array(column) for column in zip(*rows, strict=True))
+    return LiveRun(times, references, poses, speeds, captured, tuple(decisions))

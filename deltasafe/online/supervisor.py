@@ -1,6 +1,7 @@
 """The safety argument: a motion is committed only if it and its braking are verified; else the last braking runs."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,7 @@ class Supervisor:
         last = int(np.searchsorted(running.time_s, start_s - 1e-9))
         first = int(np.searchsorted(running.time_s, start_s - 2 * self._settings.cycle_s, "right")) - 1
         past = slice(max(first, 0), max(last, 1))
-        joined = {
+        joined: dict[str, Any] = {
             name: np.concatenate([getattr(running, name)[past], getattr(motion, name)])
             for name in ("time_s", "poses", "speed_mps", "progress_s", "rate")
         }

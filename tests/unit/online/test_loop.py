@@ -16,7 +16,7 @@ from deltasafe.online.settings import OnlineSettings
 from deltasafe.online.simulation import KinematicArm, LiveRun, run_simulated
 from deltasafe.planning import MotionSettings
 from deltasafe.scene import Camera, FieldSettings
-from evidence.online_audit import Tool, audit
+from evidence.online_audit import AuditResult, Driven, Tool, audit
 
 CAMERA = Camera(80, 60, 96.0, 96.0, 40.0, 30.0, np.array([0.0, 0.0, 0.9]), np.diag([1.0, -1.0, -1.0]))
 MOTION = MotionSettings(n_iterations=300, n_refinements=50)
@@ -49,21 +49,22 @@ def run(camera=None, perceive=bright, arm=None, clock=None, duration_s=8.0, note
     return run_simulated(loop, camera, arm, duration_s, clock=clock or (lambda t: t), **extra), loop
 
 
+def audited(live: LiveRun, camera: SimulatedCamera) -> AuditResult:
+    driven = Driven(live.time_s, live.reference, live.tool, live.speed_mps, live.captured_s)
+    return audit(
+        Tool(),
+        driven,
+        camera.hand.at,
+        lambda age, v: SETTINGS.v_hand_mps * age + float(MOTION.tracking.error_m(max(v, 0.01))),
+    )
+
+
 def test_reaches_the_goal_and_the_audit_finds_nothing() -> None:
     camera = camera_above(lambda time_s: np.zeros(2))
     live, _ = run(camera)
     assert live.reached_goal
     np.testing.assert_allclose(live.reference[-1], TASK.goal.as_array(), atol=1e-6)
-    found = audit(
-        Tool(),
-        live.time_s,
-        live.reference,
-        live.tool,
-        live.speed_mps,
-        live.captured_s,
-        camera.hand.at,
-        lambda age, v: SETTINGS.v_hand_mps * age + MOTION.tracking.error_m(np.maximum(v, 0.01)),
-    )
+    found = audited(live, camera)
     assert found.contacts_moving == 0
     assert found.least_spare_m >= 0
     assert found.is_continuous
@@ -72,16 +73,7 @@ def test_reaches_the_goal_and_the_audit_finds_nothing() -> None:
 def test_a_hand_across_the_path_is_waited_for_or_passed_without_contact() -> None:
     camera = camera_above(lambda time_s: np.array([0.0, min(0.09, 0.1 * max(0.0, time_s - 1.2))]))
     live, _ = run(camera, duration_s=4.0)
-    found = audit(
-        Tool(),
-        live.time_s,
-        live.reference,
-        live.tool,
-        live.speed_mps,
-        live.captured_s,
-        camera.hand.at,
-        lambda age, v: SETTINGS.v_hand_mps * age + MOTION.tracking.error_m(np.maximum(v, 0.01)),
-    )
+    found = audited(live, camera)
     assert found.contacts_moving == 0
     assert found.least_spare_m >= 0
     assert {"brake", "rest"} & {decision.kind for decision in live.decisions if decision.now_s > FAULT_S}

@@ -92,6 +92,10 @@ def test_a_hand_that_keeps_its_speed_is_not_touched_by_a_moving_tool(
         assert one.time_s[0] <= other.time_s[0]
 
 
+def test_a_hand_far_off_does_not_keep_the_tool_from_moving() -> None:
+    assert drive(seed=3, chase=0.0, lost=0.0, latency_s=0.1)[2] > 0.02
+
+
 def test_without_a_hand_in_reach_the_path_is_driven_to_its_end_without_delay() -> None:
     path = straight_path(Z_M)
     supervisor = Supervisor(path.trajectory.poses[0], 0.0, TRACKING, 0.01, SETTINGS)
