@@ -63,6 +63,10 @@ FAULTS = {
     "C24": "tests/unit/io/test_storage.py::test_files_and_folders_have_the_mode_that_the_umask_gives",
     "C25": f"{_T}/test_tracker.py::test_recording_again_changes_no_duration_and_a_member_alone_ends_its_parent",
     "C26": f"{_P}/test_definitions.py::test_a_missing_input_is_not_retried_and_is_the_first_line_of_the_error",
+    "C27": f"{_P}/automation/test_launch_check.py::"
+    "test_all_assets_of_the_lineage_are_refused_in_a_run_and_in_a_run_of_a_backfill",
+    "C28": f"{_P}/test_supervision.py::test_failed_checks_are_a_tag_of_the_green_run",
+    "C29": "tests/assets/test_staleness.py::test_the_sensor_reports_a_changed_result_once",
     "C30": f"{_P}/test_retention.py::test_what_a_pointer_or_a_kept_run_refers_to_stays_and_the_rest_goes",
 }
 """Faults of the operation that are repaired, each with the test that fails without the repair."""

@@ -187,8 +187,10 @@ def _failed_check(event: DagsterEvent) -> set[str]:
 
 
 def _tag_failed_checks(plan_context: "PlanOrchestrationContext", failed: set[str]) -> None:
-    """Show failed checks in the list of runs. Dagster colors a run by its steps alone: a check that does not block
-    leaves it green."""
+    """Name failed checks in an event and a tag of the run.
+
+    Dagster colors a run by its steps alone: a check that does not block leaves it green.
+    """
     run = plan_context.dagster_run
     if failed or FAILED_CHECKS_TAG in run.tags:  # a re-execution has the tags of its parent run
         text = ", ".join(sorted(failed)) or "none"
