@@ -2,9 +2,9 @@
 
 A run takes a packaged scene, lets its hand move, and drives the tool from start to goal. The camera hangs 0.9 m above
 the table, so that a hand from outside the view arrives in time to be seen. p_occupied is an oracle here: the true
-outline, widened by two pixels. The arm follows its reference with an error as large as its bound, in random directions.
-An audit that shares no code with the loop checks each run. Runs are stored by settings and code; a stopped command
-continues.
+outline, widened by about three pixels. The arm follows its reference with an error as large as its bound, in random
+directions. An audit that shares no code with the loop checks each run. Runs are stored by settings and code; a stopped
+command continues.
 """
 
 import dataclasses

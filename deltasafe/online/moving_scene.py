@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
+from scipy.spatial import cKDTree
 
 from deltasafe.errors import SettingsError
 from deltasafe.online.frames import Frame
@@ -15,9 +17,10 @@ Array = NDArray[np.float64]
 Displacement = Callable[[float], Array]
 
 SPACING_M = 0.004
-SPLAT_PX = 2
-"""A point of the surface is drawn as a square of 2 SPLAT_PX + 1 pixels, which overlaps those of its neighbors."""
+FARTHEST_M = SPACING_M / math.sqrt(3)
+"""Largest distance from a point of a triangle with edges of at most ``SPACING_M`` to the nearest of its corners."""
 
+BORDER_PX = 3
 NOISE_LEVELS = 2
 """Largest noise of a pixel; without noise two images would be equal to the last bit."""
 
@@ -64,8 +67,16 @@ class MovingHand:
         return float(self.points_m[:, 2].max())
 
 
-def hand_of(scene: LoggedScene, rgb: NDArray[np.uint8], displacement: Displacement) -> MovingHand:
+def hand_of(
+    scene: LoggedScene, rgb: NDArray[np.uint8], displacement: Displacement, mask: NDArray[np.bool_] | None = None
+) -> MovingHand:
     """Make the hand of a logged scene: its true shape, with the colors of its photograph (H, W, 3) uint8.
+
+    What the photograph does not show has the color of the nearest point that it shows.
+
+    Args:
+        mask: (H, W) pixels of the photograph that show the hand; colors near its border, which mix with the background,
+            are not taken. None: all pixels count.
 
     Raises:
         DataError: the scene has no true mesh.
@@ -73,8 +84,11 @@ def hand_of(scene: LoggedScene, rgb: NDArray[np.uint8], displacement: Displaceme
     points = surface_points(*scene.true_mesh(), SPACING_M)
     points = points[points[:, 2] > scene.table_z_m]
     rows, columns = pixels_of(points, scene.camera)
-    shown = np.clip(rows, 0, scene.camera.height - 1), np.clip(columns, 0, scene.camera.width - 1)
-    return MovingHand(points, rgb[shown], displacement)
+    shown = _inside(rows, columns, scene.camera)
+    if mask is not None:
+        shown[shown] = binary_erosion(mask, iterations=BORDER_PX)[rows[shown], columns[shown]]
+    nearest = np.flatnonzero(shown)[cKDTree(points[shown]).query(points)[1]]
+    return MovingHand(points, rgb[rows[nearest], columns[nearest]], displacement)
 
 
 class SimulatedCamera:
@@ -127,21 +141,29 @@ class SimulatedCamera:
         rows, columns = pixels_of(points, self.camera)
         order = np.argsort(points[:, 2], kind="stable")  # higher points hide lower ones
         rgb = self._plate.copy()
-        for down, right in _square(1):
-            r, c, inside = _inside(rows[order] + down, columns[order] + right, self.camera)
-            rgb[r, c] = self.hand.colors[order][inside]
+        for down, right in self._square(points):
+            r, c = rows[order] + down, columns[order] + right
+            inside = _inside(r, c, self.camera)
+            rgb[r[inside], c[inside]] = self.hand.colors[order][inside]
         rng = np.random.default_rng((self._seed, number))
         noise = rng.integers(-NOISE_LEVELS, NOISE_LEVELS + 1, rgb.shape, dtype=np.int16)
         return np.clip(rgb + noise, 0, 255).astype(np.uint8)
 
     def silhouette(self, time_s: float) -> NDArray[np.bool_]:
         """Pixels (H, W) that show the hand at a time, never too few: the oracle of p_occupied."""
-        rows, columns = pixels_of(self.hand.at(time_s), self.camera)
+        points = self.hand.at(time_s)
+        rows, columns = pixels_of(points, self.camera)
         mask = np.zeros((self.camera.height, self.camera.width), np.bool_)
-        for down, right in _square(SPLAT_PX):
-            r, c, _ = _inside(rows + down, columns + right, self.camera)
-            mask[r, c] = True
+        for down, right in self._square(points):
+            inside = _inside(rows + down, columns + right, self.camera)
+            mask[rows[inside] + down, columns[inside] + right] = True
         return mask
+
+    def _square(self, points_m: Array) -> list[tuple[int, int]]:
+        """Pixels around a point that cover the surface up to its neighbors, at the highest point of the hand."""
+        above_m = max(float(self.camera.position_m[2] - points_m[:, 2].max()), 1e-3)
+        reach = math.ceil(FARTHEST_M * max(self.camera.fx, self.camera.fy) / above_m)
+        return [(down, right) for down in range(-reach, reach + 1) for right in range(-reach, reach + 1)]
 
 
 def pixels_of(points_m: Array, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -151,12 +173,5 @@ def pixels_of(points_m: Array, camera: Camera) -> tuple[NDArray[np.int64], NDArr
     return np.floor(uv[:, 1]).astype(np.int64), np.floor(uv[:, 0]).astype(np.int64)
 
 
-def _square(reach: int) -> list[tuple[int, int]]:
-    return [(down, right) for down in range(-reach, reach + 1) for right in range(-reach, reach + 1)]
-
-
-def _inside(
-    rows: NDArray[np.int64], columns: NDArray[np.int64], camera: Camera
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    inside = (rows >= 0) & (rows < camera.height) & (columns >= 0) & (columns < camera.width)
-    return rows[inside], columns[inside], inside
+def _inside(rows: NDArray[np.int64], columns: NDArray[np.int64], camera: Camera) -> NDArray[np.bool_]:
+    return (rows >= 0) & (rows < camera.height) & (columns >= 0) & (columns < camera.width)
