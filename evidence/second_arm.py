@@ -23,7 +23,7 @@ from evidence.reporting import command_parser, finish, print_progress
 from pipelines.command_line import run_command
 from pipelines.home import PROJECT
 
-STUDY = TrackingStudySettings(n_slope_runs=100, n_bound_runs=300, n_held_out_runs=300)
+STUDY = TrackingStudySettings(n_slope_runs=50, n_bound_runs=300, n_held_out_runs=100)
 KEPT = ("gamma0_m", "gamma1_s", "runs", "held_out_runs", "coverage", "coverage_lower95")
 """Figures of the tracking study that are recorded, without their prefix."""
 

@@ -1,14 +1,17 @@
 """The tool body: distances against closed forms and a search, its covers, and its samples."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
+from scipy.spatial import cKDTree
 
 from deltasafe.errors import SettingsError
 from deltasafe.planning import ToolBody
-from deltasafe.planning.disc_cover import distance_to_ellipse
+from deltasafe.planning.disc_cover import bounding_balls, disc_cover, distance_to_ellipse
 
 BODIES = [
     ToolBody(),
@@ -104,3 +107,23 @@ def test_samples_depend_on_the_seed_alone() -> None:
     assert (ToolBody().samples(0.001, 50, 7) != ToolBody().samples(0.001, 50, 8)).any()
     with pytest.raises(SettingsError, match="margin_m"):
         ToolBody().samples(-1.0, 5, 0)
+
+
+@pytest.mark.parametrize("semi_axes_m", [(0.04, 0.003), (0.025, 0.001), (0.001, 0.15)])
+def test_covers_of_slender_discs_hold_them_in_bounded_memory(semi_axes_m: tuple[float, float]) -> None:
+    """B13: the grids grew with the ratio of the semi-axes; 25 x 1 mm raised MemoryError, 40 x 3 mm took 85 s."""
+    a, b = semi_axes_m
+    disc_cover.cache_clear()
+    bounding_balls.cache_clear()
+    tracemalloc.start()
+    try:
+        (centers, radius_m), balls = disc_cover(a, b, 0.02), bounding_balls(a, b, 0.02)
+        assert tracemalloc.get_traced_memory()[1] < 600e6
+    finally:
+        tracemalloc.stop()
+    assert len(centers) < 10_000
+    angle, share = np.random.default_rng(0).uniform(0, 1, (2, 2000))
+    flat = np.sqrt(share)[:, None] * np.column_stack([a * np.cos(2 * np.pi * angle), b * np.sin(2 * np.pi * angle)])
+    points = np.column_stack([flat, np.full(len(flat), 0.01)])
+    assert cKDTree(centers).query(points)[0].max() <= radius_m + 1e-12
+    assert (np.linalg.norm(points[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1).max() <= 1e-12
