@@ -7,6 +7,7 @@ import pytest
 
 from assets.config import configurable
 from deltasafe.errors import SettingsError
+from deltasafe.execution import ArmSettings, ExecutionSettings
 from deltasafe.perception.data.augmentation.settings import AugmentationSettings
 from deltasafe.perception.settings import NetworkSettings, TrainingSettings
 from deltasafe.planning import MotionSettings, ToolPart
@@ -40,6 +41,15 @@ def test_parts_of_a_tool_are_a_list_of_forms():
     assert body.parts == (ToolPart("box", half_x_m=0.02, half_y_m=0.01, half_z_m=0.03),)
     with pytest.raises(SettingsError, match="kind of a part"):
         config(body={"parts": [{"kind": "cone"}]}).settings()
+
+
+def test_the_arm_is_chosen_in_the_launchpad():
+    config = configurable(ExecutionSettings())
+    assert config(arm={"model": "panda"}).settings().arm == ArmSettings("panda")
+    chosen = config(arm={"model": "a.urdf", "flange_link": "tip", "base_pose": [0.0, 0.5, 0.0, -1.5]}).settings().arm
+    assert chosen == ArmSettings("a.urdf", "tip", base_pose=(0.0, 0.5, 0.0, -1.5))
+    with pytest.raises(SettingsError, match="iiwa, panda or the path"):
+        config(arm={"model": "ur5"}).settings()
 
 
 def test_an_unknown_key_is_refused_by_dagster():

@@ -17,6 +17,8 @@ from deltasafe.execution.iiwa_kinematics import IIWA14_LIMITS
 from deltasafe.execution.recording import Execution
 from deltasafe.execution.simulated_arm import SimulatedArm
 from deltasafe.geometry import yaw_of
+from deltasafe.studies.tracking import TrackingStudySettings
+from deltasafe.studies.tracking.tracking_errors import record_runs
 from tests.unit.execution.conftest import BODY, quintic
 
 PANDA = ArmSettings("panda")
@@ -164,6 +166,14 @@ def test_a_gripper_and_massless_links_are_left_out_or_merged(model_folder):
         q = arm.inverse(pose)[0]
         mass = arm._bullet.calculateMassMatrix(arm._arm, q.tolist(), physicsClientId=arm._client)
         np.testing.assert_allclose(rigid_body_dynamics(arm._model, q, 0 * q).mass_matrix, mass, atol=1e-8)
+
+
+def test_the_tracking_study_runs_on_the_chosen_arm():
+    errors_m = {
+        name: record_runs(TrackingStudySettings(arm=ArmSettings(name)), 0, 1)["error_m"] for name in ("iiwa", "panda")
+    }
+    assert len(errors_m["iiwa"]) == len(errors_m["panda"])  # the same motion
+    assert np.abs(errors_m["iiwa"] - errors_m["panda"]).max() > 1e-5
 
 
 URDF = """<robot name="two"><link name="base"/><link name="one"/><link name="two">{extra}</link>
