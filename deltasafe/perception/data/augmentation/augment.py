@@ -9,7 +9,7 @@ import numpy as np
 
 from deltasafe.perception.data.augmentation.background import Backgrounds
 from deltasafe.perception.data.augmentation.color import recolor_hand, recolor_object, simulate_camera
-from deltasafe.perception.data.augmentation.geometry import WARPS
+from deltasafe.perception.data.augmentation.geometry import draw_scale, warps_of
 from deltasafe.perception.data.augmentation.hand_cutout import HandCutout
 from deltasafe.perception.data.augmentation.layers import Layers
 from deltasafe.perception.data.augmentation.noise import degrade, random_erase
@@ -116,9 +116,11 @@ def _source_points(
     source_middle = (source - 1) / 2
     source_middle = source_middle + np.clip(focus - source_middle, -beside_px, beside_px)
     middle = np.array([width - 1, height - 1]) / 2
-    center = (focus - source_middle) / covering + middle
+    scale = draw_scale(rngs["cropping"]) if "cropping" in rngs else 1.0
+    # magnified, the fingers are shown rather than the arm
+    center = (hand.focus(crop_px / max(scale, 1.0)) - source_middle) / covering + middle
     warps, drawn = [], {}
-    for name, draw_warp in WARPS.items():
+    for name, draw_warp in warps_of(scale).items():
         if name in rngs:
             warp, center, drawn[name] = draw_warp(rngs[name], size, center)
             warps.append(warp)

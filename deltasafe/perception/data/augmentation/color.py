@@ -3,7 +3,10 @@
 import numpy as np
 
 from deltasafe.perception.data.augmentation.skin import N_TONES, mean_lab, recolor, tone_lab
-from deltasafe.perception.data.augmentation.textures import light_gradient
+from deltasafe.perception.data.augmentation.textures import light_gradient, smooth_noise
+
+P_UNEVEN_LIGHT = 0.3
+P_STRONG_CAST = 0.2
 
 
 def recolor_hand(
@@ -46,6 +49,11 @@ def _relight(rng: np.random.Generator, rgb: np.ndarray) -> tuple[np.ndarray, dic
     if rng.random() < 0.5:
         drawn["side_light"] = float(rng.uniform(0.1, 0.5))
         rgb = rgb * light_gradient(rng, width, height, drawn["side_light"])
+    if rng.random() < P_UNEVEN_LIGHT:  # shade of fingers and of things beside the object
+        cell_px = float(np.exp(rng.uniform(*np.log((0.12, 0.6))))) * width
+        drawn["uneven_light"] = float(rng.uniform(0.1, 0.6))
+        noise = smooth_noise(rng, width, height, cell_px, cell_px)[..., None]
+        rgb = rgb * (1 + np.float32(drawn["uneven_light"]) * noise)
     if rng.random() < 0.25:  # backlight, or a spotlight on the object
         drawn["own_exposure_stops"] = float(rng.uniform(-0.8, 0.4))
         rgb = rgb * np.float32(2.0 ** drawn["own_exposure_stops"])
@@ -53,11 +61,15 @@ def _relight(rng: np.random.Generator, rgb: np.ndarray) -> tuple[np.ndarray, dic
 
 
 def simulate_camera(rng: np.random.Generator, rgb: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
-    """Change white balance, exposure, gamma, saturation and vignetting of the image ``(H, W, 3)`` float32."""
+    """Change white balance, exposure, gamma, saturation and vignetting of the image ``(H, W, 3)`` float32.
+
+    One image in five has a strong cast, as photographs in lamplight do.
+    """
     height, width = rgb.shape[:2]
+    warm_sd, green_sd = (0.25, 0.08) if rng.random() < P_STRONG_CAST else (0.13, 0.05)
     drawn = {
-        "warm": float(rng.normal(0, 0.13)),
-        "green": float(rng.normal(0, 0.05)),
+        "warm": float(rng.normal(0, warm_sd)),
+        "green": float(rng.normal(0, green_sd)),
         "exposure_stops": float(rng.uniform(-0.6, 0.6)),
         "gamma": float(np.exp(rng.uniform(-0.3, 0.3))),
         "saturation": float(rng.uniform(0.55, 1.4)),

@@ -5,6 +5,7 @@ is drawn separately and is not warped. albumentations is not used here: it fills
 by reflection, which makes a second hand. Here these points are kept, because the arm is continued there.
 """
 
+import functools
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -15,7 +16,9 @@ Warp: TypeAlias = Callable[[np.ndarray], np.ndarray]
 WarpDraw: TypeAlias = tuple[Warp, np.ndarray, dict[str, float | int | str]]
 """The warp, the new center of the hand, and the drawn parameters."""
 
-SCALES = (0.45, 1.4)
+SCALES = (0.45, 2.4)
+"""Up to a hand that is larger than the image (decision 90)."""
+
 GRID_CELLS = (3, 6)
 GRID_SHIFT_CELLS = 0.24
 
@@ -65,9 +68,13 @@ def grid_distortion(rng: np.random.Generator, size: tuple[int, int], center: np.
     return warp, center, {"n_cells": n_cells, "largest_shift_px": float(np.abs(shifts).max())}
 
 
-def cropping(rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> WarpDraw:
-    """Scale the hand by 0.45 to 1.4 (log-uniform) and move its center to a place near the middle of the image."""
-    scale = float(np.exp(rng.uniform(*np.log(SCALES))))
+def draw_scale(rng: np.random.Generator) -> float:
+    """Draw the scale of `cropping`: 0.45 to 2.4, log-uniform."""
+    return float(np.exp(rng.uniform(*np.log(SCALES))))
+
+
+def cropping(scale: float, rng: np.random.Generator, size: tuple[int, int], center: np.ndarray) -> WarpDraw:
+    """Scale the hand and move ``center`` to a place near the middle of the image."""
     moved = rng.uniform(0.25, 0.75, 2) * size
 
     def warp(points: np.ndarray) -> np.ndarray:
@@ -82,5 +89,11 @@ def sample(image: np.ndarray, points: np.ndarray, border: int) -> np.ndarray:
     return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=border)
 
 
-WARPS = {draw.__name__: draw for draw in (flip, rotation, grid_distortion, cropping)}
-"""By name of the method, in order of application."""
+def warps_of(scale: float) -> dict[str, Callable[[np.random.Generator, tuple[int, int], np.ndarray], WarpDraw]]:
+    """Return the draws of the four methods by name, in order of application; ``scale`` is that of `cropping`."""
+    return {
+        "flip": flip,
+        "rotation": rotation,
+        "grid_distortion": grid_distortion,
+        "cropping": functools.partial(cropping, scale),
+    }

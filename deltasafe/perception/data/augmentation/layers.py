@@ -9,8 +9,10 @@ from deltasafe.perception.data.augmentation.accessories import add_rings, add_sl
 from deltasafe.perception.data.augmentation.background import Backgrounds, draw_background
 from deltasafe.perception.data.augmentation.geometry import sample
 from deltasafe.perception.data.augmentation.hand_cutout import HandCutout
+from deltasafe.perception.data.augmentation.skin import mean_lab, recolor
 
 P_SHADOW = 0.65
+P_SAME_COLOR = 0.2
 
 
 @dataclasses.dataclass
@@ -53,6 +55,7 @@ class Layers:
         """Draw a background, clothing and jewelry if ``clothed``, and the shadow; returns the drawn parameters."""
         height, width = self.alpha.shape
         self.background, drawn = draw_background(rng, backgrounds, width, height)
+        drawn["same_color"] = self._recolor_background(rng)
         sleeve, sleeve_alpha = np.zeros_like(self.rgb), np.zeros_like(self.alpha)
         if clothed and hand.arm is not None:
             along, across = hand.arm.coordinates(points)
@@ -67,6 +70,17 @@ class Layers:
     def compose(self) -> np.ndarray:
         """Blend the hand over the background: ``(H, W, 3)`` float32 in [0, 1]."""
         return self.background + (self.rgb - self.background) * self.alpha[..., None]
+
+    def _recolor_background(self, rng: np.random.Generator) -> dict[str, float]:
+        """Give one background in five about the hand's own color, which must not be enough to recognize a hand."""
+        if rng.random() >= P_SAME_COLOR or not (self.alpha > 0.5).any():
+            return {}
+        lab = mean_lab(self.rgb, self.alpha) + rng.normal(0.0, (14.0, 5.0, 6.0)).astype(np.float32)
+        lab[0] = np.clip(lab[0], 8.0, 95.0)
+        contrast, chroma = rng.uniform((0.5, 0.2), (1.2, 0.8)).tolist()
+        everywhere = np.ones_like(self.alpha)
+        self.background = np.ascontiguousarray(recolor(self.background, everywhere, lab, contrast, chroma), np.float32)
+        return {"lightness": float(lab[0]), "a": float(lab[1]), "b": float(lab[2])}
 
     def _cast_shadow(self, rng: np.random.Generator, coverage: np.ndarray) -> dict[str, float]:
         if rng.random() >= P_SHADOW:

@@ -111,6 +111,36 @@ def test_arm_continues_in_its_direction(angle_rad: float, scale: float) -> None:
     assert (arm.extend(aside[None].astype(np.float32), 128, 96)[0] < 0).any()
 
 
+def test_magnified_hand_shows_its_fingers() -> None:
+    mask = hand_mask()
+    rgb = two_colors(mask, (255, 0, 0), (0, 0, 255))
+    rgb[:34][mask[:34] > 0] = (0, 255, 0)  # the fingers
+    chosen = always_and_only("cropping")
+    hand, largest = cut_out_hand(rgb, mask, chosen), 0.0
+    for variant in range(60):
+        made = augment("green", hand, variant, Backgrounds(), chosen)
+        fingers = (made.image[..., 1].astype(int) > made.image[..., 0]) & (made.mask > 0)
+        assert fingers.any()
+        (cropping,) = made.recipe["operations"]
+        largest = max(largest, cropping["scale"])
+    assert largest > 2.0
+
+
+def test_some_backgrounds_have_the_color_of_the_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    def differences(share: float) -> np.ndarray:
+        """Of a* and b* between the hand and the background, in each of 20 images."""
+        monkeypatch.setattr("deltasafe.perception.data.augmentation.layers.P_SAME_COLOR", share)
+        chosen, found = dataclasses.replace(always_and_only("background"), left_out=("clothing", *METHOD_NAMES[1:])), []
+        hand = skin_on_gray(hand_mask(), chosen)
+        for variant in range(20):
+            made = augment("x", hand, variant, Backgrounds(), chosen)
+            lab = cv2.cvtColor(made.image.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+            found.append(lab[made.mask > 0].mean(0)[1:] - lab[made.mask == 0].mean(0)[1:])
+        return np.linalg.norm(found, axis=1)
+
+    assert differences(1.0).max() < 20 < np.median(differences(0.0))
+
+
 def test_arm_reaches_the_border_or_ends_in_a_sleeve() -> None:
     hand = skin_on_gray(hand_mask())
     chosen = always_and_only("background", "flip", "rotation", "cropping")
