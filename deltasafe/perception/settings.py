@@ -114,7 +114,7 @@ class InferenceSettings:
 
     An image is scaled to about the area of ``width`` x ``height`` pixels. Its aspect ratio is kept, except for rounding
     to multiples of 16. The logits are scaled back to the size of the image. Networks recognize a hand best if it has as
-    many pixels as in training; the mean over two scales recognizes larger hands too (decision 76).
+    many pixels as in training; the mean over two scales recognizes larger hands too (decisions 76 and 90).
 
     Attributes:
         width: pixels, for an image of this aspect ratio.
@@ -124,7 +124,7 @@ class InferenceSettings:
 
     width: int = 256
     height: int = 192
-    scales: tuple[float, ...] = (1.0, 0.625)
+    scales: tuple[float, ...] = (1.0, 0.75)
 
     def __post_init__(self) -> None:
         check_range(self, f"[{2 * _STRIDE}, {_MAX_SIZE}]", "width", "height")
