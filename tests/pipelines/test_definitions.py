@@ -389,9 +389,9 @@ def test_large_reports_and_pictures_are_reduced_to_the_limit(tmp_path):
     from assets.reporting import inline_picture, inline_report
 
     rng = np.random.default_rng(0)
-    names = [f"{k}.png" for k in range(12)]
+    names = [f"{k}.png" for k in range(6)]
     for name in names:
-        Image.fromarray(rng.integers(0, 256, (600, 800, 3), dtype=np.uint8)).save(tmp_path / name)
+        Image.fromarray(rng.integers(0, 256, (240, 320, 3), dtype=np.uint8)).save(tmp_path / name)
     frames = [Image.fromarray(rng.integers(0, 256, (200, 300, 3), dtype=np.uint8)) for _ in range(5)]
     frames[0].save(tmp_path / "film.gif", save_all=True, append_images=frames[1:])
     (tmp_path / "report.md").write_text("# All\n" + "\n".join(f"![picture {name}]({name})" for name in names))
