@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from deltasafe.perception.artifact.frozen_ensemble import golden_difference, load_ensemble
+from deltasafe.perception.artifact.manifest import FORMAT_VERSION
 from evidence.faults.malformed.documents import document_changes, field_changes, with_field
 from evidence.faults.malformed.files import (
     at,
@@ -121,7 +122,7 @@ def _manifests(frozen: pathlib.Path) -> dict[str, Change]:
         changes[f"members are {members}"] = with_field("members", members)
     for count in (0, 2, -1, 10**30):
         changes[f"n_members is {count}"] = with_field("n_members", count)
-    for version in (0, 4, 99, -1, 3.0):
+    for version in (0, FORMAT_VERSION + 1, 99, -1, 3.0):
         changes[f"format_version is {version!r}"] = with_field("format_version", version)
     for key, values in MANIFEST_VALUES.items():
         changes |= {f"{key} is {value!r:.40}": with_field(key, value) for value in values}
