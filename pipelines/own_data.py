@@ -47,9 +47,13 @@ def steps_of(folders: Mapping[str, str]) -> dict[str, dict[str, Any]]:
 def home_of(root: pathlib.Path, folders: Mapping[str, str]) -> pathlib.Path:
     """Return the home of runs on ``folders``: below ``root``, one for each obstacle.
 
+    Scenes alone stay in ``root``: its ensemble is trained on the packaged images, too, and is not trained again.
+
     Raises:
         DataError: ``dataset.json`` of the training images is malformed.
     """
+    if set(folders) == {"scenes"}:
+        return root
     obstacle = DatasetInfo.load(folders["hands"]).obstacle if "hands" in folders else "hand"
     return root / "own-data" / obstacle
 

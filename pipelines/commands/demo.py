@@ -130,11 +130,12 @@ def _print_summary(root: pathlib.Path, figures: dict[str, Any], is_own_data: boo
         f"  {int(figures['n_members'])} members: pixel accuracy {figures['pa']:.4f}, mIoU {figures['miou']:.4f}, "
         f"NLL {figures['nll']:.4f}, Brier score {figures['bs']:.4f}"
     )
-    print(
-        f"  {figures['scenes_executed']} of {figures['scenes']} scenes executed, "
-        f"{figures['scenes_safe']} safe throughout, "
-        f"contacts with {obstacle} or table: {'not judged' if figures['contacts'] is None else figures['contacts']}"
+    judged = (
+        f", {figures['scenes_safe']} of {figures['scenes_judged']} judged ones safe throughout, "
+        f"contacts with {obstacle} or table: {figures['contacts']}"
     )
+    executed = f"  {figures['scenes_executed']} of {figures['scenes']} scenes executed"
+    print(executed + (judged if figures["scenes_judged"] else ""))
     if unjudged:
         print(f"  contacts not judged in {unjudged} executed scenes, which have no true {obstacle}")
     print()

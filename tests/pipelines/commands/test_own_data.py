@@ -43,10 +43,14 @@ def test_labels_that_cannot_be_converted_are_left_to_the_launch_check(tmp_path):
 
 def test_every_obstacle_has_a_home_of_its_own(tmp_path):
     hands = write_hands(tmp_path / "hands")
-    assert home_of(tmp_path, {"scenes": "/s"}) == tmp_path / "own-data" / "hand"
+    assert home_of(tmp_path, {"scenes": "/s", "backgrounds": "/b"}) == tmp_path / "own-data" / "hand"
     assert home_of(tmp_path, {"hands": str(hands)}) == tmp_path / "own-data" / "hand"
     (hands / "dataset.json").write_text('{"obstacle": "coffee_cup"}')
     assert home_of(tmp_path, {"hands": str(hands)}) == tmp_path / "own-data" / "coffee_cup"
+
+
+def test_scenes_alone_use_the_ensemble_of_the_packaged_images(tmp_path):
+    assert home_of(tmp_path, {"scenes": "/s"}) == tmp_path
 
 
 def test_figures_of_other_folders_are_not_recorded(capsys):
