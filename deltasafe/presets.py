@@ -64,7 +64,7 @@ PRESETS = {
     "smoke": Preset(
         n_members=2,
         augmentation=AugmentationSettings(n_variants=2, width=96, height=72),
-        training=TrainingSettings(NetworkSettings(pyramid_channels=32), epochs=2),
+        training=TrainingSettings(NetworkSettings(pyramid_channels=32), epochs=3),
         inference=InferenceSettings(128, 96),
         calibration=CalibrationSettings(n_bootstrap=200, n_folds=5, planning_delta=0.5),
         gate=GateThresholds(pixel_accuracy=0.0, miou=0.0),

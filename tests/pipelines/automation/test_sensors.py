@@ -179,7 +179,7 @@ def test_an_unreadable_scene_is_named(tmp_path):
 
 def test_only_sensors_that_start_nothing_are_on_by_default(tmp_path):
     running = {s.name for s in all_sensors(tmp_path) if s.default_status == dg.DefaultSensorStatus.RUNNING}
-    assert running == {"lost_runs", "decisions_in_mlflow"}
+    assert running == {"lost_runs", "decisions_in_mlflow", "stale_partitions"}
 
 
 # automation ------------------------------------------------------------------------------------------------------
