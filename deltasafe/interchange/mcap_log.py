@@ -74,31 +74,12 @@ def add_mcap(path: pathlib.Path, builder: LogBuilder) -> None:
         ValueError, and others of ``READ_ERRORS``: the file is damaged.
     """
     _require_mcap()
-    from mcap.exceptions import McapError
-    from zstandard import ZstdError
+    from mcap.records import Attachment, Metadata
 
-    try:
-        _add_records(path, builder)
-    except (McapError, ZstdError, AssertionError, IndexError, OverflowError) as error:
-        raise ValueError(repr(error)) from error
-
-
-def _add_records(path: pathlib.Path, builder: LogBuilder) -> None:
-    from mcap.records import Attachment, Channel, Message, Metadata, Schema
-    from mcap.stream_reader import StreamReader
-
-    channels: dict[int, Any] = {}
-    types: dict[int, str] = {}
-    with path.open("rb") as stream:
-        # the limit keeps a damaged length from allocating memory
-        for record in StreamReader(stream, validate_crcs=True, record_size_limit=path.stat().st_size).records:
-            if isinstance(record, Schema):
-                types[record.id] = type_name_of(record.name)
-            elif isinstance(record, Channel):
-                channels[record.id] = record
-            elif isinstance(record, Message):
-                channel = channels[record.channel_id]
-                name, encoding = types.get(channel.schema_id, ""), channel.message_encoding
+    with _damage_as_value_error():
+        for record, channel, name in _records(path):
+            if channel is not None:
+                encoding = channel.message_encoding
                 if encoding == "json":
                     builder.add(channel.topic, name, record.log_time, functools.partial(_object, record.data))
                 elif encoding == "cdr" and name in KINDS:
@@ -120,22 +101,37 @@ def image_messages(path: pathlib.Path, topic: str = "") -> Iterator[tuple[str, i
         ValueError, and others of ``READ_ERRORS``: the file is damaged.
     """
     _require_mcap()
+    with _damage_as_value_error():
+        for record, channel, name in _records(path):
+            if channel is None or KINDS.get(name) != "image" or topic not in ("", channel.topic):
+                continue
+            is_json = channel.message_encoding == "json"
+            message = _object(record.data) if is_json else decode_cdr(name, record.data)
+            for image in normalized(name, message):
+                yield channel.topic, record.log_time, image
+
+
+@contextlib.contextmanager
+def _damage_as_value_error() -> Iterator[None]:
+    """Turn what mcap raises about damaged files, and what decoding their messages raises, into a ValueError."""
     from mcap.exceptions import McapError
     from zstandard import ZstdError
 
     try:
-        yield from _images(path, topic)
+        yield
     except (McapError, ZstdError, AssertionError, IndexError, OverflowError) as error:
         raise ValueError(repr(error)) from error
 
 
-def _images(path: pathlib.Path, topic: str) -> Iterator[tuple[str, int, dict[str, Any]]]:
+def _records(path: pathlib.Path) -> Iterator[tuple[Any, Any, str]]:
+    """Yield each message with its channel and the name of its type, and other records with None and an empty name."""
     from mcap.records import Channel, Message, Schema
     from mcap.stream_reader import StreamReader
 
     channels: dict[int, Any] = {}
     types: dict[int, str] = {}
     with path.open("rb") as stream:
+        # the limit keeps a damaged length from allocating memory
         for record in StreamReader(stream, validate_crcs=True, record_size_limit=path.stat().st_size).records:
             if isinstance(record, Schema):
                 types[record.id] = type_name_of(record.name)
@@ -143,13 +139,9 @@ def _images(path: pathlib.Path, topic: str) -> Iterator[tuple[str, int, dict[str
                 channels[record.id] = record
             elif isinstance(record, Message):
                 channel = channels[record.channel_id]
-                name = types.get(channel.schema_id, "")
-                if KINDS.get(name) != "image" or topic not in ("", channel.topic):
-                    continue
-                is_json = channel.message_encoding == "json"
-                message = _object(record.data) if is_json else decode_cdr(name, record.data)
-                for image in normalized(name, message):
-                    yield channel.topic, record.log_time, image
+                yield record, channel, types.get(channel.schema_id, "")
+            else:
+                yield record, None, ""
 
 
 def _object(data: bytes) -> dict[str, Any]:
